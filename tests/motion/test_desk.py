@@ -361,6 +361,10 @@ FILES = {
     "polar.csv": "# comment\nfrequency (Hz);magnitude (dB re 1 mm/s/N);phase (deg)\n{}",
     "names.csv": "freq_rad_s,Gain dB re 1 g/N,CH1 Phase in Grad\n{}",
     "omega.csv": "omega\tmagnitude (rad/(N m))\tphase (rad)\n{}",
+    "numpy.csv": "# hammer 7\n# Freq [Hz], Mag [g/N], Phase [deg]\n{}",
+    "blanks.csv": "# f Mag Phase\n# Hz g/N deg\n{}",
+    "brackets.csv": "Freq,Re(H1(2,1)),Imag H1(2,1)\n{}",
+    "bare.csv": "X-Axis,Real,Imag\n{}",
     "notes.csv": "Model,SDS\nPoints,60\n\nFrequency,CH1 Amplitude,CH1 Phase\nHz,g/lbf,Deg.\n{}",
 }
 
@@ -375,6 +379,10 @@ def test_a_table_is_read_as_the_library_reads_it(node, tmp_path):
         "polar.csv": (";", [hertz, 20 * np.log10(size), np.degrees(angle)]),
         "names.csv": (",", [TURN * hertz, 20 * np.log10(size), np.degrees(angle)]),
         "omega.csv": ("\t", [TURN * hertz, size, angle]),
+        "numpy.csv": (",", [hertz, size, np.degrees(angle)]),
+        "blanks.csv": ("\t", [hertz, size, np.degrees(angle)]),
+        "brackets.csv": (",", [hertz, size * np.cos(angle), size * np.sin(angle)]),
+        "bare.csv": (",", [hertz, size * np.cos(angle), size * np.sin(angle)]),
         "notes.csv": (",", [hertz, size, np.degrees(angle)]),
     }
     calls = []

@@ -163,6 +163,12 @@ HEADERS = {
     "Frequency (c/s)": REFUSED,
     "Stimulus(Hz)": ("frequency", 1),
     "x-axis (second)": ("time", 1),
+    "X-Axis Hz": ("frequency", 1),
+    "x_axis_ms": ("time", 1e-3),
+    "X-Axis": ("", DEFAULT),
+    "Y-Axis Real": ("real", DEFAULT),
+    "Re(H1(2,1)) [um/N]": ("real", 1e-6),
+    "H_{y[0], u[0]}": ("", DEFAULT),
     "X (ms)": ("time", 1e-3),
     "Group Delay (s)": ("", (1, "s")),
     # Inches, pounds, pressures, angles
@@ -517,8 +523,8 @@ def test_a_unit_beside_a_member_of_a_structure_is_that_of_its_name(tmp_path):
     savemat(tmp_path / "a.mat", {"frd": table | {"FrequencyUnit": "rad/TimeUnit"}})
     with pytest.raises(InputError, match="rad/TimeUnit"):
         load_machine(tmp_path / "a.mat")
-    savemat(tmp_path / "b.mat", {"s": {"title": "a plate", "parts": np.array(["x", 1], dtype=object)}})
-    with pytest.raises(InputError, match=r"s\.title \(text\), s\.parts"):
+    savemat(tmp_path / "b.mat", {"s": {"title": "a plate", "parts": np.array(["x", "y"], dtype=object)}})
+    with pytest.raises(InputError, match=r"s\.title \(text\), s\.parts_1"):
         read_arrays(tmp_path / "b.mat")
 
 

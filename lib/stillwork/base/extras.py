@@ -8,6 +8,9 @@ from types import ModuleType
 BY_PACKAGE = {
     "pandas": "data",
     "pyuff": "data",
+    "nptdms": "data",
+    "h5py": "data",
+    "pymatreader": "data",
     "control": "control",
     "distributed": "cluster",
     "clarabel": "control",

@@ -64,9 +64,8 @@ def kind_of(arrays: dict[str, np.ndarray]) -> str:
         return "frequency response"
     if any(heading(name).quantity == "force" for name in arrays):
         return "hammer records"
-    raise InputError(
-        f"it holds {', '.join(arrays) or 'nothing'}, but not {FORMS}; name its columns like this"
-    )
+    held = ", ".join(f"{name} ({' x '.join(map(str, array.shape)) or '1'})" for name, array in arrays.items())
+    raise InputError(f"it holds {held or 'nothing'}, but not {FORMS}; name its columns like this")
 
 
 @checked(missing=True)

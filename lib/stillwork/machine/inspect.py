@@ -34,7 +34,9 @@ def inspect_file(file: str) -> str:
     if not os.path.isfile(path):  # False as well, as for a folder, for a name that no system takes
         if os.path.isdir(path):
             raise InputError(f"{file}: this is a folder; name a file in it")
-        raise InputError(f"{short_repr(file)}: no such file; give a CSV, MAT, NPZ, UFF, TOML or Python file")
+        raise InputError(
+            f"{short_repr(file)}: no such file; give a CSV, TDMS, MAT, HDF5, NPZ, UFF, TOML or Python file"
+        )
     kinds = {".toml": _toml, ".py": _plant}
     with np.errstate(all="ignore"):  # a line reports what is not finite
         lines = list(kinds.get(path.suffix.lower(), _data)(path))

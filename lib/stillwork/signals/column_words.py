@@ -10,6 +10,7 @@ SPELLINGS = (
     (r"\babs(?=\s*\()", "magnitude"),
     (r"\u2220\s*([a-z]+\d*)", "phase ($1) "),
     (r"\b(?:arg|phi)(?=\s*\()", "phase"),
+    (r"^H_\{[^{}]*\}$", "H"),  # of python-control, with the names of output and input
     (r"(sample|sampling)(?=freq)", "$1 "),
     (r"\b((?:acc|vel)[a-z]*(?:_?[xyz\d]+)?)_in_(s2?)$", "$1 in/$2"),  # inches; x_in_s is in seconds
 )
@@ -25,7 +26,9 @@ NEGATED = (
 MOTIONS = ("acceleration", "velocity", "position")
 AXES = ("x", "axis", "value", "abscissa", "stimulus")
 LETTER = r"[^\W\d_]"
-ARGUMENT = r"(?:[hgpstcl]\d*|f|jw)(?:\((?:f|s|z|w|jw)\))?"  # of a response, as in Re(H)
+ARGUMENT = (
+    r"(?:[hgpstcl]\d*|f|jw)(?:\((?:f|s|z|w|jw|\d+, ?\d+)\))?"  # of a response, as in Re(H) and Re(H1(2,1))
+)
 SCALED = r"[*^\u00d7]|\d[eE]|\d{4}"  # a name that holds a factor
 SEPARATORS = r"[\s_,;:/-]+"
 

@@ -1,4 +1,4 @@
-"""Named arrays of numbers from CSV, LVM, MAT, NPZ and universal files; no code in them is executed."""
+"""Named arrays of numbers from CSV, LVM, TDMS, MAT, HDF5, NPZ and universal files; no code in them is executed."""
 
 import os
 import zipfile
@@ -8,7 +8,8 @@ import numpy as np
 
 from stillwork.base.checks import InputError, one_line, short_repr
 from stillwork.base.validation import checked
-from stillwork.signals.matfiles import MOST_BYTES, read_mat
+from stillwork.signals.structured_files import MOST_BYTES, read_structured
+from stillwork.signals.tdms import read_tdms
 from stillwork.signals.textfiles import read_csv, read_lvm
 from stillwork.signals.universal import read_universal
 
@@ -29,19 +30,22 @@ def read_arrays(path: str | Path) -> dict[str, np.ndarray]:
         ".txt": read_csv,
         ".tsv": read_csv,
         ".lvm": read_lvm,
-        ".mat": read_mat,
+        ".mat": read_structured,
+        ".h5": read_structured,
+        ".hdf5": read_structured,
+        ".tdms": read_tdms,
         ".npz": _npz,
         ".uff": read_universal,
         ".unv": read_universal,
     }
     if not os.path.isfile(path):  # False as well for a name that no system takes
         raise InputError(
-            f"{short_repr(str(path))}: no such file; give the path of a CSV, LVM, MAT, NPZ or UFF file"
+            f"{short_repr(str(path))}: no such file; give the path of a CSV, LVM, TDMS, MAT, HDF5, NPZ or UFF file"
         )
     if path.suffix.lower() not in readers:
         raise InputError(
             f"{path.name}: files of type {path.suffix or '(none)'!r} are not read; "
-            "export CSV, LVM, MAT (version 7), NPZ or UFF"
+            "export CSV, LVM, TDMS, MAT, HDF5, NPZ or UFF"
         )
     if (size := path.stat().st_size) > MOST_TEXT:
         raise InputError(f"{path.name} has {size:.2g} bytes, more than {MOST_TEXT >> 30} GB; cut it")

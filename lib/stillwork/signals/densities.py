@@ -7,7 +7,7 @@ import numpy as np
 from stillwork.base.checks import InputError, pluralise, require_choice
 from stillwork.base.validation import checked
 from stillwork.signals.datafiles import read_columns
-from stillwork.signals.headings import column_unit, heading, in_hertz
+from stillwork.signals.headings import column_unit, heading, in_hertz, is_bare_abscissa
 from stillwork.signals.records import stated_unit, unknown_unit
 from stillwork.signals.units import MOTION_UNITS, meaning, unit_factor
 
@@ -144,12 +144,14 @@ def _meaning(unit: str) -> tuple[float, int, int]:
 
 @checked
 def frequency_axis(columns: dict[str, np.ndarray]) -> str:
-    """Name of the column of frequencies; empty where there is none. Two that disagree are refused."""
-    names = [
-        name
-        for name, column in columns.items()
-        if heading(name).quantity == "frequency" and column.size > 1 and column.dtype.kind != "c"
-    ]
+    """Name of the column of frequencies, or of a bare X-Axis beside a response's parts; empty where there is none.
+
+    Two that disagree are refused.
+    """
+    real = {name: column for name, column in columns.items() if column.size > 1 and column.dtype.kind != "c"}
+    names = [name for name in real if heading(name).quantity == "frequency"]
+    if not names and {"imaginary", "phase"} & {heading(name).quantity for name in real}:
+        names = [name for name in real if is_bare_abscissa(name)]
     for other in names[1:]:
         one, two = (hertz_in(name) * np.ravel(columns[name]) for name in (names[0], other))
         if one.shape != two.shape or not np.allclose(one, two, rtol=1e-3, equal_nan=True):

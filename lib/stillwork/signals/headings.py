@@ -85,7 +85,8 @@ def heading(name: str) -> Heading:
     if words[-1:] == ["in"]:
         words.pop()
     quantity = _quantity(words)
-    if tail and (words or len(tail[0]) == 1) and not _is_stated(*tail, quantity):
+    axis = not quantity and tail and _abscissa(words, tail[1])  # X-Axis Hz
+    if tail and (words or len(tail[0]) == 1) and not axis and not _is_stated(*tail, quantity):
         words, tail = [*words, tail[0].lower()], None
     if tail and not words and not groups:
         return Heading(name, _alone(*tail), *tail)
@@ -141,6 +142,13 @@ def _abscissa(words: list[str], means: Unit | None) -> str:
     if means is None or not words or not set(words) <= set(AXES):
         return ""
     return {"s": "time", "Hz": "frequency"}.get(means.si, "")
+
+
+@checked
+def is_bare_abscissa(name: str) -> bool:
+    """Whether a name says no more than that the others stand over its column: ``X-Axis``."""
+    words = set(_words(name))
+    return words <= set(AXES) and bool(words - {"axis", "value"})
 
 
 def _unless_another(quantity: str, label: str, odd: list[str], means: Unit | None) -> str:

@@ -13,6 +13,7 @@ import numpy as np
 from stillwork.base.checks import InputError, pluralise
 from stillwork.base.extras import require_package
 from stillwork.base.validation import by_value, checked
+from stillwork.signals.headings import heading
 from stillwork.signals.units import meaning
 
 LONGEST_LINE = 2**17  # characters; the csv module takes no longer field
@@ -123,7 +124,8 @@ class _Text:
 def _look_through(path: Path) -> _Text:
     """Look through a text once: its separator, the decimal mark of all its rows, its names, and the lines to skip."""
     skipped: list[int] = []
-    lines = _lines(path, skipped)
+    comments: list[str] = []
+    lines = _lines(path, skipped, comments)
     head = list(itertools.islice(lines, MOST_ABOVE))
     given = ""
     if head and (found := re.fullmatch(r'"?sep=(.)"?', head[0][1])):  # of Excel
@@ -132,7 +134,10 @@ def _look_through(path: Path) -> _Text:
     if not head:
         raise InputError(f"{path.name} is empty; give a line of names and rows of numbers")
     separator, below = _first_row([line for _, line in head], given)
-    names, below = _names([line for _, line in head], separator, below)
+    if below:
+        names, below = _names([line for _, line in head], separator, below)
+    else:
+        names = _commented(comments, separator, len(_fields(head[0][1], separator, 0)))
     skipped += [number for number, _ in head[:below]]
     rows = (line for _, line in itertools.chain(head[below:], lines))
     points = commas = False
@@ -178,8 +183,6 @@ def _names(lines: list[str], separator: str, first: int) -> tuple[list[str], int
 
     Lines above the names are an instrument's notes. A line with a number among others is a row that holds a fault.
     """
-    if first == 0:
-        return [], 0
     width = len(_fields(lines[first], separator, 0)) if first < len(lines) else 0
     above = [_fields(line, separator, width) for line in lines[:first]]
     units = [each.strip("()[] ") for each in above[-1]]
@@ -193,8 +196,23 @@ def _names(lines: list[str], separator: str, first: int) -> tuple[list[str], int
     return above[at], at + 1
 
 
-def _lines(path: Path, skipped: list[int]) -> Iterator[tuple[int, str]]:
-    """The lines of a text with their numbers from 0; those that hold nothing or begin with # are `skipped`."""
+def _commented(comments: list[str], separator: str, width: int) -> list[str]:
+    """The names in comments right above rows without any, as `numpy.savetxt` writes them; none where they hold no name of a column."""
+    for mark in (separator, ",", ";", "\t", r"\s+"):
+        row = (" " if mark == r"\s+" else mark).join("0" * width)
+        names = _names([*comments, row], mark, len(comments))[0] if comments else []
+        stated = [heading(name) for name in names if not _is_number(name)]
+        if len(stated) == len(names) == width and any(each.quantity or each.meaning for each in stated):
+            return names
+    return []
+
+
+def _lines(path: Path, skipped: list[int], comments: list[str]) -> Iterator[tuple[int, str]]:
+    """The lines of a text with their numbers from 0; those that hold nothing or begin with # are `skipped`.
+
+    `comments` takes what stands behind the # right above the first of them.
+    """
+    first = True
     with path.open(encoding="utf-8-sig", errors="replace") as file:
         for number, line in enumerate(iter(lambda: file.readline(LONGEST_LINE + 1), "")):
             if len(line) > LONGEST_LINE:
@@ -204,7 +222,10 @@ def _lines(path: Path, skipped: list[int]) -> Iterator[tuple[int, str]]:
             line = line.strip(" \r\n")
             if not line.strip() or (line.startswith("#") and not line.startswith("#N/A")):
                 skipped.append(number)
+                if first:
+                    comments.append(line.lstrip("# "))
             else:
+                first = False
                 yield number, line
 
 
@@ -218,11 +239,14 @@ def _complex(column) -> np.ndarray | None:
 
 
 def _fields(line: str, separator: str, width: int) -> list[str]:
-    """The fields of a line but empty ones at its end; names that blanks separate may hold brackets."""
+    """The fields of a line but empty ones at its end; a name's brackets may hold the separator where there are `width` names."""
     if separator == r"\s+":
         bracketed = re.findall(r"[^\s(\[{]+(?:\s*[(\[{][^)\]}]*[)\]}]+)?", line)
         return bracketed if len(bracketed) == width else line.split()
     fields = next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
+    if 0 < width < len(fields) and '"' not in line:  # H(2,1) is one name
+        outside = re.split(rf"{re.escape(separator)}(?![^(\[{{]*[)\]}}])", line)
+        fields = outside if len(outside) == width else fields
     while fields and not fields[-1].strip():
         fields.pop()
     return [each.strip() for each in fields]

@@ -12,10 +12,16 @@ import numpy as np
 from stillwork.base.checks import InputError, pluralise
 from stillwork.base.extras import require_package
 from stillwork.base.validation import checked
+from stillwork.signals.units import meaning
 
 _FUNCTION = 58
 _UNITS = 164
-_SI_CODES = (0, 1, 9)  # not stated, SI, stated in the labels
+# Systems of dataset 164 by code: how many of their units of length and of force make 1 m and 1 N, as I-DEAS defines them.
+_SYSTEMS = {
+    1: (1, 1), 2: (3.28084, 0.2248089), 3: (1, 0.1019716), 4: (3.28084, 7.233014), 5: (1000, 1000), 6: (100, 100),
+    7: (39.37008, 0.2248089), 8: (1000, 0.1019716), 10: (1000, 1),
+}  # fmt: skip
+_OWN = (0, 9)  # codes of no system, and of the user's own: the labels state the units
 # Function types of dataset 58 that are read, with the axis that each stands over.
 _KINDS = {
     1: ("", "time (s)"),
@@ -26,6 +32,8 @@ _KINDS = {
     9: ("density", "frequency (Hz)"),
 }
 _QUANTITIES = {8: "displacement", 9: "force", 11: "velocity", 12: "acceleration", 13: "force"}
+# Kinds of data: lengths and forces in one, and its SI unit.
+_DIMENSIONS = {8: (1, 0, "m"), 9: (0, 1, "N"), 11: (1, 0, "m/s"), 12: (1, 0, "m/s^2"), 13: (0, 1, "N")}
 _DIRECTIONS = {
     0: "",
     **{s * (k + 1): f"{'+' if s > 0 else '-'}{'XYZ'[k]}" for s in (1, -1) for k in range(3)},
@@ -58,21 +66,19 @@ def read_universal(path: str | Path) -> dict[str, np.ndarray]:
         raise InputError(
             f"{path.name} cannot be read as a universal file ({error}); export dataset 58 again, or CSV"
         ) from None
-    for units in (one for one in sets if one["type"] == _UNITS):
-        if int(units["units_code"]) not in _SI_CODES:
-            raise InputError(
-                f"{path.name} is in the unit system {int(units['units_code'])} "
-                f"({units['units_description'].strip() or 'not SI'}); export it in SI units (code 1)"
-            )
     found: dict[str, np.ndarray] = {}
-    for one in (one for one in sets if one["type"] == _FUNCTION):
+    system = None
+    for one in sets:
+        if one["type"] == _UNITS:
+            system = _system(path, one)
+            continue
         wanted, got = one["num_pts"], len(one.get("data", ()))  # none where its type is unknown
         if got < wanted:
             raise InputError(
                 f"{path.name}: a function declares {pluralise(wanted, 'value')} but holds {got}; export it again"
             )
         if one["func_type"] in _KINDS:
-            _take(path, found, one)
+            _take(path, found, one, system)
     if not found:
         raise InputError(
             f"{path.name} holds no measured function; export time responses or frequency responses (dataset 58)"
@@ -80,29 +86,73 @@ def read_universal(path: str | Path) -> dict[str, np.ndarray]:
     return found
 
 
-def _take(path: Path, found: dict[str, np.ndarray], one: dict) -> None:
+def _system(path: Path, units: dict) -> tuple[float, float] | None:
+    """How many of a file's units of length and of force make 1 m and 1 N; None where the labels alone state the units."""
+    code, factors = int(units["units_code"]), (float(units["length"]), float(units["force"]))
+    if code in _OWN:
+        return None
+    if code != 1 and not np.allclose(factors, _SYSTEMS.get(code, np.nan), rtol=1e-3):
+        raise InputError(
+            f"{path.name} is in the unit system {code} ({units['units_description'].strip() or 'without a name'}) with factors of "
+            f"{factors[0]:g} for length and {factors[1]:g} for force, which do not belong together; export it in SI units (code 1)"
+        )
+    return _SYSTEMS[1] if code == 1 else factors
+
+
+def _take(path: Path, found: dict[str, np.ndarray], one: dict, system: tuple[float, float] | None) -> None:
     kind, axis = _KINDS[one["func_type"]]
     count = one["num_pts"]
-    x = np.asarray(one["x"], dtype=float)[:count]
+    add_axis(path, found, axis, np.asarray(one["x"], dtype=float)[:count])
+    data = np.asarray(one["data"])[:count]
+    if kind in ("coherence", "density", "auto spectrum"):  # real by nature, sometimes stored as complex
+        data = data.real
+    factor, unit = _unit(path, one, kind, system)
+    if factor != 1:
+        data = data * factor
+    found[next(name for name in _names(kind, one, unit) if name not in found)] = data
+
+
+@checked
+def add_axis(path: Path, found: dict[str, np.ndarray], axis: str, x: np.ndarray) -> None:
+    """Add the axis that functions stand over; `InputError` where it is another one than those before stand over."""
     if axis not in found:
         found[axis] = x
-    elif len(found[axis]) != count or np.abs(x - found[axis]).max() > _SAME * np.abs(x).max():
+    elif len(found[axis]) != len(x) or np.abs(x - found[axis]).max() > _SAME * np.abs(x).max():
         raise InputError(
             f"{path.name} holds functions over different axes of {axis}; export those that belong together "
             "to a file of their own"
         )
-    data = np.asarray(one["data"])[:count]
-    if kind in ("coherence", "density", "auto spectrum"):  # real by nature, sometimes stored as complex
-        data = data.real
-    found[next(name for name in _names(kind, one) if name not in found)] = data
 
 
-def _names(kind: str, one: dict) -> Iterator[str]:
+def _unit(path: Path, one: dict, kind: str, system: tuple[float, float] | None) -> tuple[float, str]:
+    """A factor and the unit that a function then has: as its labels state, else in SI by the kinds of its data."""
+    sides = ("ordinate", "orddenom") if kind == "frf" else ("ordinate",)
+    labels = [_text(one.get(f"{side}_axis_units_lab")) for side in sides]
+    kinds = [_DIMENSIONS.get(one[f"{side}_spec_data_type"]) for side in sides]
+    if kind == "coherence" or ((whole := meaning(labels[0])) and (whole.lower or whole.power)):
+        return 1.0, labels[0]
+    if system is None and kind == "frf" and not any(labels) and kinds[0] and kinds[0][2] in ("m", "m/s"):
+        system = _SYSTEMS[1]  # not what a response without a unit is taken for
+    factor = 1.0
+    for number, (label, known) in enumerate(zip(labels, kinds, strict=True)):
+        plain = known is not None and kind in ("", "frf")
+        if label or system is None or (system == _SYSTEMS[1] and not plain):
+            continue
+        if not plain:
+            raise InputError(
+                f"{path.name} has {system[0]:g} units of length to the metre and {system[1]:g} of force to the newton, and a function "
+                "without a label whose unit does not follow from them; export it in SI units (code 1)"
+            )
+        factor *= (system[0] ** known[0] * system[1] ** known[1]) ** (2 * number - 1)
+        labels[number] = known[2]
+    return factor, "/".join(filter(None, labels)) if labels[0] else ""
+
+
+def _names(kind: str, one: dict, unit: str) -> Iterator[str]:
     quantity = kind or _QUANTITIES.get(one["ordinate_spec_data_type"], "")
     place = _place(one, "rsp") or ("" if one["id1"].strip() == "NONE" else one["id1"].strip())
     if kind and (reference := _place(one, "ref")):
         place = f"{place}/{reference}"
-    unit = _text(one.get("ordinate_axis_units_lab"))
     first = " ".join(filter(None, (quantity, place))) or "response"
     end = f" ({unit})" if unit else ""
     yield first + end

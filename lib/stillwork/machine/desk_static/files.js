@@ -1,6 +1,6 @@
 // Files that are dropped: a frequency response as CSV, or the controller.json of a design.
 
-import { DRIVES, MOVES, POSITIONS, columnUnit, heading, meaning, unitFactor } from "./headings.js";
+import { DRIVES, MOVES, POSITIONS, columnUnit, heading, isBareAbscissa, meaning, unitFactor } from "./headings.js";
 
 const SILENT = ["frequency", "time", "rate", "phase", "coherence"]; // their units are none of a machine's
 const EMPTY = ["", "#N/A", "#NA", "N/A", "n/a", "NA", "NaN", "nan", "-nan", "null", "NULL", "None"]; // fields without a number
@@ -28,14 +28,19 @@ export function statedUnits(names) {
 
 const numeric = (each) => !EMPTY.includes(each) && Number.isFinite(Number(each.replace(",", ".")));
 
-// Fields of a line but empty ones at its end; a mark in quotation marks is none.
-function fieldsOf(line, mark) {
+// Fields of a line but empty ones at its end; a mark in quotation marks is none, nor in brackets where there are `width` names.
+function fieldsOf(line, mark, width = 0) {
   const parts = mark ? [""] : line.trim().split(/\s+/);
   let quoted = false;
   for (const letter of mark ? line : "") {
     if (letter === '"') quoted = !quoted;
     if (letter === mark && !quoted) parts.push("");
     else parts[parts.length - 1] += letter;
+  }
+  if (width && parts.length > width && !line.includes('"')) {
+    const bracketed = mark ? null : line.match(/[^\s([{]+(?:\s*[([{][^)\]}]*[)\]}]+)?/g);
+    const outside = mark ? line.split(new RegExp(`[${mark}](?![^([{]*[)\\]}])`)) : bracketed ?? [];
+    if (outside.length === width) parts.splice(0, parts.length, ...outside);
   }
   const all = parts.map((each) => each.trim().replace(/^"(.*)"$/, "$1").trim());
   return all.slice(0, all.findLastIndex(Boolean) + 1);
@@ -57,10 +62,7 @@ function firstRow(lines, given) {
 // The names above the first row of numbers, with units that stand in a row below them, and where the rows begin.
 function namesAbove(lines, mark, first) {
   const width = fieldsOf(lines[first], mark).length;
-  const above = lines.slice(0, first).map((line) => {
-    const bracketed = mark ? [] : line.match(/[^\s([{]+(?:\s*[([{][^)\]}]*[)\]}]+)?/g);
-    return bracketed?.length === width ? bracketed : fieldsOf(line, mark);
-  });
+  const above = lines.slice(0, first).map((line) => fieldsOf(line, mark, width));
   const units = above[first - 1].map((each) => each.replace(/^[()[\] ]+|[()[\] ]+$/g, "")), upper = above[first - 2];
   const known = units.filter((each) => meaning(each) && !numeric(each)).length;
   if (upper && 2 * known >= Math.max(units.filter(Boolean).length, 1) && upper.length >= units.length) {
@@ -71,15 +73,27 @@ function namesAbove(lines, mark, first) {
   return [above[at], at + 1];
 }
 
+// The names in comments right above rows without any, as numpy.savetxt writes them.
+function commented(comments, mark, width) {
+  for (const each of comments.length ? [mark, ",", ";", "\t", ""] : []) {
+    const row = Array(width).fill("0").join(each || " "), [names] = namesAbove([...comments, row], each, comments.length);
+    const stated = names.filter((name) => !numeric(name)).map(heading);
+    if (stated.length === width && names.length === width && stated.some(({ quantity, means }) => quantity || means)) return names;
+  }
+  throw new Error("its first line is no line of names; name the columns, e.g. frequency (Hz),real,imaginary");
+}
+
 // Columns of a table of numbers by name; lines that begin with # are skipped, and notes above the names.
 export function parseTable(text) {
-  const lines = text.replace(/^\uFEFF/, "").split(/\r?\n/).map((line) => line.replace(/^ +| +$/g, "")).filter((line) => line.trim() && (!line.startsWith("#") || line.startsWith("#N/A")));
+  const written = text.replace(/^\uFEFF/, "").split(/\r?\n/).map((line) => line.replace(/^ +| +$/g, "")).filter((line) => line.trim());
+  const isComment = (line) => line.startsWith("#") && !line.startsWith("#N/A"), lines = written.filter((line) => !isComment(line));
+  const comments = written.slice(0, written.indexOf(lines[0])).map((line) => line.replace(/^[# ]+/, ""));
   const given = lines[0]?.match(/^"?sep=(.)"?$/)?.[1];
   if (given) lines.shift();
   if (lines.length < 2) throw new Error("it holds no table: give a line of names and rows of numbers");
   const [mark, first] = firstRow(lines, given);
-  if (!first) throw new Error("its first line is no line of names; name the columns, e.g. frequency (Hz),real,imaginary");
-  const [names, below] = namesAbove(lines, mark, first), rows = lines.slice(below).map((line) => fieldsOf(line, mark));
+  const [names, below] = first ? namesAbove(lines, mark, first) : [commented(comments, mark, fieldsOf(lines[0], mark).length), 0];
+  const rows = lines.slice(below).map((line) => fieldsOf(line, mark));
   const again = names.find((name, k) => names.indexOf(name) < k);
   if (again !== undefined) throw new Error(`it names two columns ${again}; give each a name of its own`);
   const comma = rows.some((row) => row.some((each) => each.includes(","))) && !rows.some((row) => row.some((each) => each.includes(".")));
@@ -116,7 +130,8 @@ function responseOf(columns, names) {
 // A machine out of a CSV file; `units` {response, drive} where the file does not say them.
 export function machineOfTable(text, name, units = {}) {
   const columns = parseTable(text), names = Object.keys(columns), quantities = names.map((each) => heading(each).quantity);
-  const axis = names[quantities.indexOf("frequency")];
+  const parts = ["imaginary", "phase"].some((each) => quantities.includes(each));
+  const axis = names[quantities.indexOf("frequency")] ?? (parts ? names.find(isBareAbscissa) : undefined);
   if (axis === undefined) {
     const first = names.map((each) => each.toLowerCase().split(/[\s([_\d]/)[0]), has = (...words) => words.every((word) => first.includes(word));
     throw new Error(

@@ -169,6 +169,12 @@ function abscissa(words, means) {
   return { s: "time", Hz: "frequency" }[means.si] ?? "";
 }
 
+// Whether a name says no more than that the others stand over its column: X-Axis.
+export function isBareAbscissa(name) {
+  const words = wordsOf(name);
+  return words.every((each) => TABLE.axes.includes(each)) && words.some((each) => !["axis", "value"].includes(each));
+}
+
 function unlessAnother(quantity, label, odd, means) {
   let others = [label, ...odd].flatMap(wordsOf).map((each) => each.replace(/^\d+|\d+$/g, "")).filter((each) => TABLE.others.includes(each));
   if (quantity === "magnitude" && means?.decibels) others = others.filter((each) => !TABLE.logarithms.includes(each));
@@ -192,7 +198,8 @@ export function heading(name) {
   const words = wordsOf(label), inches = words.at(-1) === "in" && !groups.length && !tail;
   if (words.at(-1) === "in") words.pop();
   let quantity = quantityOf(words);
-  if (tail && (words.length || tail[0].length === 1) && !isStated(tail, quantity)) {
+  const axis = !quantity && tail && abscissa(words, tail[1]); // X-Axis Hz
+  if (tail && (words.length || tail[0].length === 1) && !axis && !isStated(tail, quantity)) {
     words.push(tail[0].toLowerCase());
     tail = null;
   }

@@ -7,8 +7,8 @@ import pytest
 from scipy.io import savemat
 
 from stillwork.base.checks import InputError
-from stillwork.signals import matfiles
-from stillwork.signals.matfiles import read_mat
+from stillwork.signals import structured_files
+from stillwork.signals.structured_files import read_structured
 
 SIGNALS = np.random.default_rng(0).standard_normal((2, 300))
 CONTENT = {
@@ -45,8 +45,8 @@ def other_reader(tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_every_array_of_numbers_comes_back(tmp_path):
     (tmp_path / "-a b'.mat").write_bytes(saved(do_compression=True))
-    found = read_mat(tmp_path / "-a b'.mat")
-    assert list(found) == ["a", "fs", "counts", "response", "run.sensor.left"]
+    found = read_structured(tmp_path / "-a b'.mat")
+    assert list(found) == ["a", "fs", "counts", "response", "run.sensor.left", "run.cells_1"]
     for name in ("a", "counts", "response"):
         assert np.array_equal(found[name], CONTENT[name]) and found[name].dtype == CONTENT[name].dtype
     assert found["fs"] == 500.0 and found["fs"].shape == ()
@@ -66,14 +66,14 @@ def test_every_array_of_numbers_comes_back(tmp_path):
 )
 def test_a_reader_that_dies_gives_our_error(other_reader, body, why):
     with pytest.raises(InputError, match=rf"^hers\.mat\b.*{why}"):
-        read_mat(other_reader(body))
+        read_structured(other_reader(body))
 
 
 @pytest.mark.slow
 def test_a_reader_that_does_not_end_is_ended(other_reader, monkeypatch):
-    monkeypatch.setattr(matfiles, "MOST_SECONDS", 0.5)
+    monkeypatch.setattr(structured_files, "MOST_SECONDS", 0.5)
     with pytest.raises(InputError, match=r"^hers\.mat\b.*0\.5 s\b"):
-        read_mat(other_reader("while True: pass"))
+        read_structured(other_reader("while True: pass"))
 
 
 @pytest.mark.slow
@@ -88,7 +88,7 @@ def test_damaged_bytes_give_arrays_or_our_error(tmp_path):
         path = tmp_path / f"{number}.mat"
         path.write_bytes(damaged)
         try:
-            assert all(array.dtype.kind in "fiuc" for array in read_mat(path).values())
+            assert all(array.dtype.kind in "fiuc" for array in read_structured(path).values())
         except InputError as error:
             assert str(error).startswith(f"{number}.mat cannot be read (")
             assert str(error).endswith("save it with -v7, or export CSV or NPZ")

@@ -1,0 +1,208 @@
+"""Files of the trade's programs: one frequency response or record comes back out of each as it went in, or is refused."""
+
+import control
+import h5py
+import numpy as np
+import pytest
+from nptdms import ChannelObject, GroupObject, TdmsWriter
+from scipy.io import savemat
+
+from shared.universal_files import function, write_universal
+from stillwork.base.checks import InputError
+from stillwork.identification.machine_files import load_machine
+from stillwork.machine.inspect import inspect_file
+from stillwork.signals.datafiles import read_arrays
+from stillwork.signals.records import load_record
+
+TURN = 2 * np.pi
+HZ = np.arange(10.0, 110.0)
+ACCELERANCE = 0.125 - 0.4 * HZ**2 / (60.0**2 - HZ**2 + 1j * HZ)  # 1/kg
+COMPLIANCE = -ACCELERANCE / (TURN * HZ) ** 2  # m/N
+PARTS = np.array(
+    list(zip(ACCELERANCE.real, ACCELERANCE.imag, strict=True)), dtype=[("real", float), ("imag", float)]
+)
+ROWS = np.random.default_rng(5).standard_normal((2, 500))
+
+
+def hdf5(file, content):
+    """An HDF5 file with these datasets; a pair is one with its unit."""
+    with h5py.File(file, "w") as opened:
+        for name, values in content.items():
+            values, unit = values if isinstance(values, tuple) else (values, "")
+            opened[name] = values
+            if unit:
+                opened[name].attrs["units"] = unit
+
+
+def mat73(file, content):
+    """A MAT file of version 7.3 as MATLAB writes it: 512 bytes that name it, columns first, structures as groups."""
+    with h5py.File(file, "w", userblock_size=512) as opened:
+
+        def put(group, name, value):
+            if isinstance(value, dict):
+                group.create_group(name).attrs["MATLAB_class"] = np.bytes_("struct")
+                for member, each in value.items():
+                    put(group[name], member, each)
+            elif isinstance(value, list):  # a cell array: references to what stands apart
+                places = []
+                for each in value:
+                    place = f"#refs#/{len(opened.require_group('#refs#'))}"
+                    put(opened, place, each)
+                    places.append(opened[place].ref)
+                group.create_dataset(name, data=np.array(places)[None], dtype=h5py.ref_dtype)
+                group[name].attrs["MATLAB_class"] = np.bytes_("cell")
+            elif isinstance(value, str):
+                group[name] = np.array([[ord(letter)] for letter in value], dtype=np.uint16)
+                group[name].attrs["MATLAB_class"] = np.bytes_("char")
+            else:
+                values = np.atleast_2d(value)
+                if np.iscomplexobj(values):
+                    values = np.rec.fromarrays([values.real, values.imag], names="real,imag")
+                group[name] = values.T
+                group[name].attrs["MATLAB_class"] = np.bytes_("double")
+
+        for name, value in content.items():
+            put(opened, name, value)
+    head = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM"
+    with file.open("r+b") as opened:
+        opened.write(head)
+
+
+def tdms(file, channels, group="Untitled"):
+    """A TDMS file of channels: name to (values, properties)."""
+    with TdmsWriter(file) as writer:
+        writer.write_segment(
+            [
+                GroupObject(group),
+                *(ChannelObject(group, name, *content) for name, content in channels.items()),
+            ]
+        )
+
+
+def savetxt(columns, **options):
+    return lambda file: np.savetxt(file, np.column_stack(columns), **options)
+
+
+def text(names, *columns):
+    rows = "\n".join(",".join(f"{x:.15g}" for x in row) for row in zip(*columns, strict=True))
+    return lambda file: file.write_text(f"{names}\n{rows}\n")
+
+
+def saved_table(file):
+    control.frd(ACCELERANCE, TURN * HZ).to_pandas().to_csv(file)
+
+
+def saved_response(file):
+    found = control.frd(ACCELERANCE, TURN * HZ)
+    np.savez(file, omega=found.omega, frdata=found.frdata)
+
+
+def universal(code, factors, data, kinds, **more):
+    """A response beside a dataset of units: its system's code, how many units make 1 m and 1 N, and the kinds of its data."""
+    system = {"type": 164, "units_code": code, "units_description": "by hand", "temp_mode": 1, "temp": 1.0}
+    system |= {"temp_offset": 0.0, "length": factors[0], "force": factors[1]}
+    axes = {"ordinate_spec_data_type": kinds[0], "orddenom_spec_data_type": kinds[1]}
+    return lambda file: write_universal(file, [system, function("frf", HZ, data, **axes, **more)])
+
+
+POLAR = [HZ, np.abs(ACCELERANCE), np.degrees(np.angle(ACCELERANCE))]
+PAIR = [HZ, ACCELERANCE.real, ACCELERANCE.imag]
+SHAPED = {"shapeit_data": {"w": TURN * HZ[:, None], "P": {"frf": ACCELERANCE[:, None], "name": "stage"}}}
+WRITTEN = {
+    "two.h5": lambda file: hdf5(file, {"f": HZ, "frf": ACCELERANCE}),
+    "units.hdf5": lambda file: hdf5(file, {"m/w": (TURN * HZ, "rad/s"), "m/H": (1e6 * COMPLIANCE, "um/N"), "by": "me"}),
+    "parts.h5": lambda file: hdf5(file, {"frequency": HZ, "H": PARTS}),
+    "outputs.h5": lambda file: hdf5(file, {"freq": HZ, "H": ACCELERANCE[:, None, None]}),
+    "structure.mat": lambda file: savemat(file, SHAPED),
+    "array.mat": lambda file: savemat(file, {"s": np.array([SHAPED["shapeit_data"], {"note": "x"}], dtype=object)}),
+    "new.mat": lambda file: mat73(file, {"freq": HZ, "H": ACCELERANCE}),
+    "shaped.mat": lambda file: mat73(file, SHAPED),
+    "cells.mat": lambda file: mat73(file, {"all": ["stage", HZ], "f": HZ, "H": ACCELERANCE}),
+    "control.csv": saved_table,
+    "control.npz": saved_response,
+    "numpy.txt": savetxt(POLAR, header="Freq Mag Phase"),
+    "numpy.csv": savetxt(POLAR, header="hammer 7\nFreq [Hz], Mag [m/s^2/N], Phase [deg]", delimiter=","),
+    "two lines.txt": savetxt(PAIR, header="f Re Im\nHz m/s^2/N m/s^2/N", delimiter="\t"),
+    "brackets.csv": text("Freq,Real H1(2,1),Imag H1(2,1)", *PAIR),
+    "arguments.csv": text("Freq,Re(H1(2,1)),Im(H1(2,1))", *PAIR),
+    "bare.csv": text("X-Axis,Real,Imag", *PAIR),
+    "axis.csv": text("X-Axis Hz,Y-Axis Real,Y-Axis Imag", *PAIR),
+    "millimetres.uff": universal(5, (1e3, 1e3), ACCELERANCE, (12, 13)),
+    "newtons.uff": universal(10, (1e3, 1.0), 1e3 * COMPLIANCE, (8, 13)),
+    "inches.uff": universal(7, (39.37007874, 0.22480894), ACCELERANCE * 39.37007874 / 0.22480894, (12, 13)),
+    "labels.uff": universal(5, (1e3, 1e3), ACCELERANCE / 9.80665, (12, 13), unit="g", orddenom_axis_units_lab="N"),
+    "one label.uff": universal(5, (1e3, 1e3), ACCELERANCE / 9806.65, (12, 13), unit="g"),
+    "its own.uff": universal(9, (3.0, 7.0), 1e3 * ACCELERANCE, (12, 13), unit="mm/s^2/N"),
+    "by kind.uff": universal(0, (0.0, 0.0), COMPLIANCE, (8, 13)),
+    "waveform.tdms": lambda file: tdms(
+        file, {"H": (ACCELERANCE, {"wf_increment": 1.0, "wf_start_offset": 10.0, "wf_xname": "Frequency", "wf_xunit_string": "Hz"})}
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", WRITTEN)
+def test_a_response_comes_back_in_si(tmp_path, name):
+    WRITTEN[name](tmp_path / name)
+    found = load_machine(tmp_path / name).accelerance
+    assert found.omega == pytest.approx(TURN * HZ, rel=1e-6)
+    assert np.abs(found.response / ACCELERANCE - 1).max() < 1e-6
+    assert "frequency response of a machine" in inspect_file(str(tmp_path / name))
+
+
+def test_a_waveform_of_labview_is_a_record(tmp_path):
+    wave = {"wf_increment": 1 / 512, "wf_start_offset": 0.0}
+    channels = {"left": (ROWS[0], wave | {"unit_string": "g"}), "right": (ROWS[1], wave)}
+    tdms(tmp_path / "a.tdms", channels | {"note": (np.array(["x", "y"]), {})})
+    found = load_record(tmp_path / "a.tdms", "g")
+    assert found.names == ("left (g)", "right") and found.sample_rate == pytest.approx(512)
+    assert found.signals == pytest.approx(9.80665 * ROWS)
+    start = np.datetime64("2026-01-02T03:04:05")
+    tdms(
+        tmp_path / "b.tdms",
+        {"Time": (start + np.arange(500) * np.timedelta64(10, "ms"), {}), "z": (ROWS[0], {})},
+    )
+    assert load_record(tmp_path / "b.tdms", "m").sample_rate == pytest.approx(100)
+
+
+def test_channels_of_one_name_are_told_apart_by_their_groups(tmp_path):
+    with TdmsWriter(tmp_path / "a.tdms") as writer:
+        for number, row in enumerate(ROWS, 1):
+            writer.write_segment([ChannelObject(f"Hit {number}", "Force", row, {"unit_string": "N"})])
+    assert list(read_arrays(tmp_path / "a.tdms")) == ["Hit_1.Force (N)", "Hit_2.Force (N)"]
+
+
+REFUSED = {
+    "words.h5": (lambda file: hdf5(file, {"m/by": "me"}), r"m\.by \(text\)\); save arrays of numbers"),
+    "words.mat": (lambda file: mat73(file, {"s": {"by": "me"}}), r"s\.by \(text\)\); save it with -v7"),
+    "words.tdms": (lambda file: tdms(file, {"note": (np.array(["x"]), {})}), r"Untitled\.note \(1 of "),
+    "damaged.h5": (lambda file: file.write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(200)), "cannot be read"),
+    "damaged.tdms": (lambda file: file.write_bytes(b"no TDMS " * 20), "cannot be read as TDMS"),
+    "grids.tdms": (
+        lambda file: tdms(file, {"a": (ROWS[0], {"wf_increment": 0.1}), "b": (ROWS[1], {"wf_increment": 0.2})}),
+        "different axes",
+    ),
+    "factors.uff": (universal(5, (1.0, 1.0), ACCELERANCE, (12, 13)), "unit system 5 .* do not belong together"),
+    "no kind.uff": (universal(5, (1e3, 1e3), ACCELERANCE, (0, 13)), "without a label"),
+    "unnamed.txt": (savetxt(POLAR, header="measured on monday"), r"column 1 \(100\).*not a frequency response"),
+    "shapes.npz": (lambda file: np.savez(file, A=np.ones((2, 3)), b=1.0), r"A \(2 x 3\), b \(1\)"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_is_not_understood_names_what_the_file_holds(tmp_path, name):
+    write, why = REFUSED[name]
+    write(tmp_path / name)
+    with pytest.raises(InputError, match=rf"^{name}\b.*{why}"):
+        load_machine(tmp_path / name)
+
+
+@pytest.mark.parametrize("package", ["h5py", "pymatreader"])
+def test_a_missing_reader_is_named_with_the_extra_that_brings_it(tmp_path, monkeypatch, package):
+    mat73(tmp_path / "new.mat", {"freq": HZ, "H": ACCELERANCE})
+    (tmp_path / f"{package}.py").write_text(f"raise ModuleNotFoundError('none', name={package!r})")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(
+        InputError, match=rf"^new\.mat: {package} is not installed; python -m pip install .*\[data\]"
+    ):
+        read_arrays(tmp_path / "new.mat")
