@@ -135,10 +135,10 @@ def _unit(path: Path, one: dict, kind: str, system: tuple[float, float] | None) 
         system = _SYSTEMS[1]  # not what a response without a unit is taken for
     factor = 1.0
     for number, (label, known) in enumerate(zip(labels, kinds, strict=True)):
-        plain = known is not None and kind in ("", "frf")
-        if label or system is None or (system == _SYSTEMS[1] and not plain):
+        follows = kind in ("", "frf")
+        if label or system is None or (system == _SYSTEMS[1] and not (known and follows)):
             continue
-        if not plain:
+        if known is None or not follows:
             raise InputError(
                 f"{path.name} has {system[0]:g} units of length to the metre and {system[1]:g} of force to the newton, and a function "
                 "without a label whose unit does not follow from them; export it in SI units (code 1)"
