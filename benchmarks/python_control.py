@@ -1,14 +1,18 @@
 """The toolbox's linear algebra beside python-control's, in one run: `make bench`, or `python benchmarks/python_control.py`.
 
-Where slycot is installed, python-control uses it by itself; the line of the machine says whether it is.
+Where slycot is on its path python-control uses it by itself. It is in no environment here (GPL, 45 MB, and it would change what
+pages compute by python-control): `pip install --target build/slycot --no-deps slycot==0.7.1`, and the run is made twice.
 """
 
+import os
+import subprocess
+import sys
 from importlib.util import find_spec
 
 import control as ct
 import numpy as np
 
-from benchmarks.timing import in_turn, machine, ratio
+from benchmarks.timing import ROOT, in_turn, machine, ratio
 from stillwork import lti
 
 
@@ -48,7 +52,7 @@ def main() -> None:
             lambda: ct.sample_system(theirs, 1e-4, "zoh"),
         ),
     }
-    print(machine("scipy", "control"), "with slycot" if find_spec("slycot") else "without slycot")
+    print(machine("scipy", "control"), "with slycot" if find_spec("slycot") else "without slycot", flush=True)
     for name, (one, other) in rows.items():
         times = in_turn({"stillwork": one, "python-control": other}, 9)
         print(
@@ -61,3 +65,7 @@ def main() -> None:
 
 if __name__ == "__main__":
     main()
+    folder = ROOT / "build/slycot"
+    if folder.is_dir() and not find_spec("slycot"):
+        path = os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")])
+        subprocess.run([sys.executable, __file__], env=os.environ | {"PYTHONPATH": path}, check=True)
