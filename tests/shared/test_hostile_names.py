@@ -33,10 +33,11 @@ class Elements(HTMLParser):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", HOSTILE)
-def test_a_name_out_of_a_file_stays_a_text(tmp_path, name):
-    rows = np.random.default_rng(3).standard_normal((2, 4096))
-    names = f"{name} x (m/s^2)", f"y {name} [m/s^2]"
+@pytest.mark.parametrize(("name", "other"), zip(HOSTILE[::2], HOSTILE[1::2], strict=True))
+def test_a_name_out_of_a_file_stays_a_text(tmp_path, name, other):
+    """Two at once: each has a channel of the record and a signal of the controller."""
+    rows = np.random.default_rng(3).standard_normal((2, 1024))
+    names = f"{name} x (m/s^2)", f"y {other} [m/s^2]"
     np.savez(tmp_path / "a.npz", **{"fs (Hz)": 500.0, **dict(zip(names, rows, strict=True))})
     with warnings.catch_warnings():
         warnings.simplefilter(
@@ -46,8 +47,10 @@ def test_a_name_out_of_a_file_stays_a_text(tmp_path, name):
     assert all(map(str.isprintable, lines))
     page = Elements((tmp_path / "a.html").read_text(encoding="utf-8"))
     assert set(page.tags) <= set(PAGE) and all(each.startswith("data:image/png") for each in page.sources)
-    desk, plain = (Elements(offline_page([machine_to_begin_with() | {"name": each}])) for each in (name, "x"))
-    assert (desk.tags, desk.sources) == (plain.tags, plain.sources)
+    *desks, plain = (
+        Elements(offline_page([machine_to_begin_with() | {"name": each}])) for each in (name, other, "x")
+    )
+    assert all((desk.tags, desk.sources) == (plain.tags, plain.sources) for desk in desks)
     model = StateModel(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.array([[2.5]]), 1e-3)
     for text in controller_code(DigitalController(model, (names[0],), (names[1],)), "loop").values():
         code = re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)

@@ -1,12 +1,8 @@
 import subprocess
 import sys
 from importlib import import_module
-from pathlib import Path
 
 import pytest
-
-from stillwork.base import extras
-from stillwork.base.extras import missing
 
 PACKAGES = [
     *(
@@ -40,12 +36,9 @@ TOY = {
 @pytest.mark.parametrize(
     "first",
     [
-        "",
         "import toy.damp, toy.tune, toy.shape",
-        "from toy import damp, shape",
         "from toy.tune import tune; from toy.damp import damp",
         "from importlib import import_module; import_module('toy.shape'); import_module('toy.damp')",
-        "import pickle, toy; assert pickle.loads(pickle.dumps(toy.damp)) is toy.damp",
     ],
 )
 def test_a_function_may_be_called_as_its_module(tmp_path, first):
@@ -71,33 +64,3 @@ assert toy.note == 1
 """
     done = subprocess.run([sys.executable, "-c", lines], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-
-
-def test_what_no_extra_brings_is_missing_under_its_own_name():
-    for name in ("stillwork.none", "workbook.none", None):
-        error = ModuleNotFoundError("none", name=name)
-        assert missing(error) is error
-
-
-def test_a_missing_package_comes_from_the_clone_or_the_wheel_at_hand(monkeypatch, tmp_path):
-    """No index has a package of this name: the command names a folder or a file that pip finds."""
-    error = ModuleNotFoundError("none", name="matplotlib")
-    clone = Path(__file__).parents[2]
-    assert str(missing(error)).endswith(f"python -m pip install '{clone}[design]'")
-
-    wheel = tmp_path / "a folder" / "stillwork-0.1.0-py3-none-any.whl"
-    installed = tmp_path / "site-packages"
-    module = installed / "stillwork" / "base" / "extras.py"
-    for folder in (wheel.parent, module.parent, installed / "stillwork-0.1.0.dist-info"):
-        folder.mkdir(parents=True)
-    module.write_text("")
-    (installed / "stillwork-0.1.0.dist-info" / "METADATA").write_text(
-        "Metadata-Version: 2.1\nName: stillwork\nVersion: 0.1.0\n"
-    )
-    monkeypatch.setattr(extras, "__file__", str(module))
-    monkeypatch.syspath_prepend(str(installed))
-    assert str(missing(error)).endswith("python -m pip install 'stillwork-0.1.0-py3-none-any.whl[design]'")
-    wheel.write_text("")
-    noted = installed / "stillwork-0.1.0.dist-info" / "direct_url.json"
-    noted.write_text(f'{{"url": "{wheel.as_uri()}", "archive_info": {{}}}}')
-    assert str(missing(error)).endswith(f"python -m pip install '{wheel}[design]'")

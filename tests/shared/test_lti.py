@@ -5,7 +5,6 @@ from contextlib import suppress
 from dataclasses import replace
 from math import comb
 
-import control
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -84,7 +83,7 @@ def test_parts_that_drive_only_later_ones_respond_as_the_whole(seed, states, den
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("samples", [1, 30, 400])
+@pytest.mark.parametrize("samples", [1, 30, 150])
 def test_a_line_of_delays_responds_as_it_turns(samples):
     line = delayed(constant(np.array([[2.0, 0.0], [-1.0, 3.0]]), 1e-3), samples)
     omega = np.linspace(1.0, 3000.0, 700)
@@ -92,8 +91,8 @@ def test_a_line_of_delays_responds_as_it_turns(samples):
     np.testing.assert_allclose(line.frequency_response(omega), expected, rtol=0, atol=1e-11)
 
 
-@pytest.mark.parametrize("size", [(2, 3), (4, 1), (1, 4), (2, 2)])
-@pytest.mark.parametrize("samples", [0, 1, 3, None])
+@pytest.mark.parametrize("size", [(2, 3), (4, 1)])
+@pytest.mark.parametrize("samples", [0, 3, None])
 def test_between_the_points_of_a_grid_the_response_is_the_same(samples, size):
     """Of a model whose eigenvectors are too skew, as a line of delays makes them, of one where they are not, of a gain."""
     modes = random_modal(5, *size)
@@ -113,31 +112,6 @@ def test_lyapunov_equations_are_solved_and_scipy_says_nothing_of_those_that_are_
     np.testing.assert_allclose(a @ x @ a.T - x + q, 0.0, atol=1e-12)
     with warnings.catch_warnings(action="error"):
         solve_lyapunov(np.ones((2, 2)), np.eye(2))
-
-
-def test_discrete_response_is_that_of_python_control():
-    model = zoh_modes(random_modal(1).modes(slice(1, None)), 1e-4)
-    omega = np.linspace(10, 3e4, 50)
-    theirs = model.to_control()(np.exp(1j * omega * 1e-4), squeeze=False)
-    assert np.allclose(model.frequency_response(omega), theirs, rtol=1e-9, atol=1e-12)
-
-
-@settings(max_examples=25, deadline=None)
-@given(st.integers(0, 10_000))
-def test_response_of_a_superposition_is_the_sum_over_modes(seed):
-    model = random_modal(seed)
-    omega = np.array([10.0, 300.0, 4e3])
-    parts = [replace(model.modes([k]), feedthrough=0 * model.feedthrough) for k in range(6)]
-    total = sum(part.frequency_response(omega) for part in parts) + model.feedthrough[:, :, None]
-    np.testing.assert_allclose(model.frequency_response(omega), total, rtol=1e-12)
-
-
-def test_control_and_back():
-    model = random_modal(7).state_space()
-    again = lti.from_control(model.to_control())
-    assert all(np.array_equal(getattr(again, name), getattr(model, name)) for name in "abcd")
-    with pytest.raises(InputError, match=r"^system\.dt\b"):
-        lti.from_control(control.ss([[0.5]], [[1]], [[1]], [[0]], True))
 
 
 def test_modal_model_diagonalises_the_machine():
@@ -185,13 +159,6 @@ def test_simulation_is_the_plain_recursion(rigid):
     assert np.allclose(
         lti.simulate(model, inputs, initial), expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max()
     )
-
-
-def test_simulation_through_python_control():
-    model = zoh_modes(random_modal(9, 1, 1).modes(slice(1, None)), 1e-4)
-    u = np.random.default_rng(1).normal(size=(1, 200))
-    theirs = control.forced_response(model.to_control(), inputs=u[0]).outputs
-    assert np.allclose(lti.simulate(model, u)[0], theirs, rtol=1e-9, atol=1e-9 * np.abs(theirs).max())
 
 
 @settings(max_examples=20, deadline=None)
@@ -253,34 +220,6 @@ def test_units_do_not_make_a_loop_ill_posed(unit):
         ring(1.0)
 
 
-def test_interconnection_is_that_of_python_control():
-    plant = random_modal(2, 1, 1).modes(slice(1, None)).state_space()
-    filter_ = lti.StateModel(np.array([[-50.0]]), np.array([[50.0]]), np.eye(1), np.zeros((1, 1)))
-    loop = lti.interconnect(
-        [plant, filter_], np.array([[0, -1.0], [1.0, 0]]), np.array([[1.0], [0]]), np.array([[1.0, 0]])
-    )
-    theirs = control.feedback(plant.to_control(), filter_.to_control())
-    omega = np.array([3.0, 200.0, 4e3])
-    np.testing.assert_allclose(loop.frequency_response(omega)[0, 0], theirs(1j * omega), rtol=1e-9)
-
-
-@pytest.mark.parametrize("feedthrough", [0.0, 0.7])
-def test_zeros_are_those_of_python_control_and_of_the_response(feedthrough):
-    model = replace(random_modal(4, 1, 1), feedthrough=np.array([[feedthrough]]))
-    zeros = model.state_space().zeros
-    theirs = control.zeros(model.to_control())
-    theirs = theirs[np.abs(theirs) < 1e6]
-    assert len(zeros) == len(theirs)
-    np.testing.assert_allclose(np.sort(np.abs(zeros)), np.sort(np.abs(theirs)), rtol=1e-6)
-    states = model.state_space()
-    for zero in zeros:
-        value = states.d + states.c @ np.linalg.solve(zero * np.eye(len(states.a)) - states.a, states.b)
-        nearby = states.d + states.c @ np.linalg.solve(
-            zero * 1.1 * np.eye(len(states.a)) - states.a, states.b
-        )
-        assert abs(value[0, 0]) < 1e-6 * abs(nearby[0, 0])
-
-
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([1e-4, 2e-3, 0.5]))
 def test_a_rule_by_tustin_responds_at_a_frequency_as_it_did_at_the_prewarped_one(seed, sample_time):
@@ -311,7 +250,7 @@ def nearly_integrating(rng, leak):
 
 
 @pytest.mark.parametrize("make", [heat_capacities, nearly_integrating])
-@pytest.mark.parametrize("leak", [1e-3, 1e-5, 1e-7, 1e-9, 1e-11, 1e-13])
+@pytest.mark.parametrize("leak", [1e-3, 1e-7, 1e-11])
 def test_a_norm_beside_an_integrator_is_right_or_refused(make, leak):
     rng, answered = np.random.default_rng(int(-np.log10(leak))), 0
     for _ in range(6):
@@ -337,7 +276,7 @@ def companion(poles, gain=1.0, sample_time=0.0):
 def test_the_two_norm_of_a_multiple_pole_is_its_closed_form(form, multiplicity):
     """1 / (s + a)^k: binomial(2k - 2, k - 1) / (2a)^(2k - 1), from the integral of its response squared."""
     rng, k = np.random.default_rng(multiplicity), multiplicity
-    for rate in 10 ** rng.uniform(-3, 3, 60):
+    for rate in 10 ** rng.uniform(-3, 3, 15):
         series = -rate * np.eye(k) + np.diag(np.ones(k - 1), -1)
         lags = lti.StateModel(series, np.eye(k)[:, :1], np.eye(k)[-1:], np.zeros((1, 1)))
         expected = np.sqrt(comb(2 * k - 2, k - 1) / (2 * rate) ** (2 * k - 1))
@@ -348,7 +287,7 @@ def test_the_two_norm_of_a_multiple_pole_is_its_closed_form(form, multiplicity):
 @pytest.mark.parametrize("multiplicity", [2, 3])
 def test_the_two_norm_of_a_multiple_sampled_pole_is_the_sum_of_its_impulses(multiplicity):
     rng = np.random.default_rng(multiplicity)
-    for pole in rng.uniform(-0.9, 0.9, 60):
+    for pole in rng.uniform(-0.9, 0.9, 15):
         impulse = signal.lfilter([1.0], np.poly([pole] * multiplicity), np.eye(1, 2000)[0])
         model = companion([pole] * multiplicity, sample_time=0.1)
         assert lti.h2_norm(model) == pytest.approx(np.linalg.norm(impulse), rel=1e-9)
@@ -360,17 +299,6 @@ def test_a_multiple_pole_near_one_is_known_to_six_digits_or_refused(multiplicity
     assert lti.h2_norm(model) == pytest.approx(precise_h2_norm(model), rel=1e-6)
     with pytest.raises(InputError, match="too close to instability"):
         lti.h2_norm(companion([1 - nearer] * multiplicity, sample_time=1.0))
-
-
-def test_two_norms_of_filters_with_a_double_pole():
-    damped = 2 * np.pi * 50.0  # critically damped
-    assert lti.h2_norm(companion([-1.0, -1.0])) == pytest.approx(0.5, rel=1e-12)
-    assert lti.h2_norm(companion([-damped] * 2, damped**2)) == pytest.approx(np.sqrt(damped / 4), rel=1e-12)
-    double = companion([0.5, 0.5], sample_time=1.0)
-    biquad = replace(double, c=np.array([[-0.45, 0.225]]), d=np.ones((1, 1)))
-    assert lti.h2_norm(biquad) == pytest.approx(
-        1.12694276695846, rel=1e-12
-    )  # (z^2 - 1.45 z + .475) / (z - .5)^2
 
 
 def test_a_small_norm_that_rounding_hides_is_refused_and_not_called_zero():
@@ -412,8 +340,7 @@ def test_a_peak_is_found_at_any_frequency(omega):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("unit", [1.0, 1e-9, 1e9])
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize(("seed", "unit"), [(1, 1.0), (2, 1e-9), (3, 1e9)])
 def test_a_peak_of_light_modes_in_a_random_basis_is_right_or_refused(seed, unit):
     """In a random basis the rounding of A moves poles that are as near to the axis as a millionth of their frequency."""
     rng, answered, wrong = np.random.default_rng(seed), 0, 0
@@ -435,11 +362,11 @@ def test_a_peak_of_light_modes_in_a_random_basis_is_right_or_refused(seed, unit)
     assert answered >= 2 and not wrong
 
 
-@pytest.mark.parametrize("seeds", [range(8), pytest.param(range(8, 30), marks=pytest.mark.slow)])
-def test_a_peak_is_that_of_seventy_digits(seeds):
-    for seed in seeds:
-        kind, model = sample_model(np.random.default_rng(seed))
-        assert lti.hinf_norm(model).magnitude == pytest.approx(judged_norm(model), rel=1e-6), (seed, kind)
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(14))
+def test_a_peak_is_that_of_seventy_digits(seed):
+    kind, model = sample_model(np.random.default_rng(seed))
+    assert lti.hinf_norm(model).magnitude == pytest.approx(judged_norm(model), rel=1e-6), kind
 
 
 # ------------------------------------------------------------------------------------------ parts of a sample, friction
@@ -470,8 +397,8 @@ def held_by_steps(model, sample_time, late, samples, forces):
     return states
 
 
-@pytest.mark.parametrize("late", [0.0, 1e-6, 0.2, 0.5, 0.999])
-@pytest.mark.parametrize("drag", [0.0, 1e-6, 3.0, 2e3, 1e6])
+@pytest.mark.parametrize("late", [0.0, 1e-6, 0.5, 0.999])
+@pytest.mark.parametrize("drag", [0.0, 1e-6, 1e6])
 def test_a_force_that_is_late_by_a_part_of_a_sample_acts_so_on_a_body_with_friction(late, drag):
     model = braked(drag)
     sample_time, forces = 1e-3, np.random.default_rng(0).standard_normal(40)
@@ -532,11 +459,11 @@ def test_a_delay_is_whole_samples_and_a_part(samples, wanted):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [7, 99, 2006])
+@pytest.mark.parametrize("seed", [7, 99])
 def test_a_squared_norm_of_light_modes_in_skew_states_is_right_or_refused(seed):
     """In both time domains, states in units over 8 decades, against elimination in 150 digits."""
     rng, answered = np.random.default_rng(seed), 0
-    for number in range(400):
+    for number in range(120):
         modes = int(rng.integers(1, 4))
         rates, ratios = 10 ** rng.uniform(0, 3, modes), 10 ** rng.uniform(-7, -1, modes)
         blocks = [f * np.array([[-z, 1.0], [-1.0, -z]]) for f, z in zip(rates, ratios, strict=True)]
@@ -556,4 +483,4 @@ def test_a_squared_norm_of_light_modes_in_skew_states_is_right_or_refused(seed):
             continue
         answered += 1
         assert norm == pytest.approx(precise_h2_norm(model), rel=1e-5)
-    assert answered > 150
+    assert answered > 45

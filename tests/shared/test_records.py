@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from scipy.io import savemat
 
 from stillwork.base.checks import InputError
-from stillwork.signals import datafiles
 from stillwork.signals.densities import read_densities
 from stillwork.signals.records import (
     Record,
@@ -20,7 +19,6 @@ from stillwork.signals.records import (
     sample_rate_of,
     to_acceleration,
 )
-from stillwork.signals.units import unit_factor
 
 RATE = 500.0
 SAMPLES = 1000
@@ -54,12 +52,9 @@ def test_csv_has_names_rate_and_unit(good_csv):
 @pytest.mark.parametrize(
     "options",
     [
-        {"separator": ";", "decimal": ","},
         {"separator": ";"},
-        {"separator": "\t"},
         {"separator": "   "},
-        {"separator": ", "},
-        {"tail": ","},
+        {"separator": ", ", "tail": ","},
         {"head": "# made by a logger, 2 channels\n"},
         {"head": "\ufeff"},
     ],
@@ -69,15 +64,6 @@ def test_dialects_of_csv_read_alike(tmp_path, options):
     record = load_record(path, "m/s^2")
     assert record.names == ("left", "right")
     assert record.signals == pytest.approx(SIGNALS, rel=1e-12)
-
-
-def test_csv_without_names_needs_a_rate(tmp_path):
-    path = write_csv(tmp_path / "a.txt", SIGNALS, [])
-    record = load_record(path, "m/s^2", sample_rate=RATE)
-    assert record.names == ("column 1", "column 2")
-    assert record.signals == pytest.approx(SIGNALS, rel=1e-12)
-    with pytest.raises(InputError, match=r"^a\.txt\b.*sample_rate"):
-        load_record(path, "m/s^2")
 
 
 @pytest.mark.slow
@@ -91,32 +77,6 @@ def test_npz_and_mat_agree_with_csv(tmp_path):
     for record in (npz, mat):
         assert record.sample_rate == RATE
         assert np.array_equal(record.signals, SIGNALS)
-
-
-def test_channels_are_chosen_by_name_and_order(good_csv):
-    assert load_record(good_csv, "g", channels=["right"]).signals[0] == pytest.approx(SIGNALS[1] * 9.80665)
-    with pytest.raises(InputError, match=r"^channel\b.*'right'"):
-        load_record(good_csv, "g", channels=["rigth"])
-
-
-@pytest.mark.parametrize(
-    ("unit", "factor", "si"),
-    [
-        ("m/s^2", 1, "m/s^2"),
-        ("mm/s2", 1e-3, "m/s^2"),
-        ("g", 9.80665, "m/s^2"),
-        ("µg", 9.80665e-6, "m/s^2"),
-        ("mm/s", 1e-3, "m/s"),
-        ("nm", 1e-9, "m"),
-        ("m/s²", 1, "m/s^2"),
-        ("mV", 1e-3, "V"),
-        ("urad", 1e-6, "rad"),
-        ("1", 1, "1"),
-    ],
-)
-def test_units(unit, factor, si):
-    got, got_si = unit_factor(unit)
-    assert got == pytest.approx(factor, rel=1e-12) and got_si == si
 
 
 # ---------------------------------------------------------------------------------------------- bad records
@@ -210,11 +170,9 @@ def npy(array):
     ("members", "options", "message"),
     [
         ([("a.npy", npy(SIGNALS)), ("read.me", b"notes")], {}, r"'read\.me'"),
-        ([("a.npy", b"no array")], {}, "'a'"),
         ([("a.npy", npy(np.zeros(10**6)))], {"said": 2**33}, r"8\.6e[+]09.*0\.5 GB"),
         ([("a.npy", npy(np.zeros(10**6)))] * 2, {"compression": zipfile.ZIP_BZIP2}, r"'a\.npy'"),
         ([(f"{n}.npy", b"") for n in range(10_001)], {}, r"\b10001\b.*\b10000\b"),
-        ([("a.npy", npy(SIGNALS).replace(b"(2, 1000)", b"(2, 10**9"))], {}, r"^a\.npz\b"),
         ([("a.npy", npy(SIGNALS).replace(b"(2, 1000), }   ", b"(2, 10000000),}"))], {}, r"^a\.npz\b"),
         ([], {}, r"^a\.npz\b.*channel"),
     ],
@@ -226,13 +184,6 @@ def test_an_archive_that_is_no_file_of_arrays_is_refused(tmp_path, members, opti
     with pytest.raises(InputError, match=message) as refusal:
         load_record(path, "m/s^2", sample_rate=RATE)
     assert "\n" not in str(refusal.value)
-
-
-def test_the_memory_of_the_numbers_is_limited_not_that_of_the_file_alone(tmp_path, monkeypatch):
-    np.savez(tmp_path / "a.npz", a=np.zeros((2, 1000), np.int8))
-    monkeypatch.setattr(datafiles, "MOST_BYTES", 8_000)  # the archive takes 2,000 bytes and a line of names
-    with pytest.raises(InputError, match=r"^a\.npz\b"):
-        datafiles.read_columns(tmp_path / "a.npz")
 
 
 @settings(max_examples=60, deadline=None)
@@ -253,11 +204,8 @@ def test_any_bytes_give_our_error(tmp_path_factory, content, suffix):
         ("a.csv", "time,left\n", r"^a\.csv\b.*\bnames\b"),
         ("a.csv", "time,x\n0,1\n0.1,oops\n", r"column x: 'oops'.*row 2\b"),
         ("a.csv", "time,x\n2024-01-31T10:00:00.5,1\n", r"column time\b.*\brow 1\b"),
-        ("a.csv", "time;x\n31.01.2024 10:00;1\n", r"column time\b.*\brow 1\b"),
-        ("a.csv", "time,x\n10:00:01.250,1\n", r"column time\b.*\brow 1\b"),
         ("a.csv", "time,x\n1.2.3,1\n", r"column time: '1\.2\.3'"),
         ("a.csv", "time,x\n0,1\n0.1,1,2,3\n", r"row 2 .*\b4\b.*\b2\b"),
-        ("a.csv", "time,x\n0,1,5\n0.1,1,2\n", r"row 1 .*\b3\b.*\b2\b"),
         ("a.tsv", "\r,", r"^a\.tsv\b"),
         ("a.xlsx", "", r"\bfiles\b"),
         ("a.mat", "not a mat file" * 20, r"^a\.mat\b.*-v7"),
@@ -292,9 +240,8 @@ def middle(record):
 
 
 RATES = [
-    *[(425.08, 5000.0), (3200.0, 5000.0), (25_600.0, 5000.0), (5000.0, 1000.0)],
-    *[(1000.3, 1000.0), (1000.0, 1000.3), (999.99, 1000.0), (1000.0, 999.99), (44_100.0, 48_000.0)],
-    *[(5000.0, 425.08), (1000.0, 100 * np.pi), (512.0, 513.0), (1000.0, 1000.0 + 1e-6)],
+    *[(425.08, 5000.0), (25_600.0, 5000.0), (1000.3, 1000.0), (1000.0, 1000.3), (44_100.0, 48_000.0)],
+    *[(1000.0, 100 * np.pi), (512.0, 513.0), (1000.0, 1000.0 + 1e-6)],
 ]
 
 
@@ -329,15 +276,8 @@ def test_images_are_80_db_down(old, new):
     assert spectrum[f > old / 2].max() < 1e-4 * spectrum.max()
 
 
-def test_resampling_to_the_same_rate_changes_nothing():
-    record = sine(10.0, RATE)
-    assert np.array_equal(resample(record, RATE).signals, record.signals)
-    with pytest.raises(InputError, match="sample_rate"):
-        resample(record, 1.0)
-
-
 @pytest.mark.parametrize(("unit", "order"), [("m/s^2", 0), ("m/s", 1), ("m", 2)])
-@pytest.mark.parametrize("frequency", [3.0, 40.0, 220.0])
+@pytest.mark.parametrize("frequency", [3.0, 220.0])
 def test_acceleration_of_a_sine(unit, order, frequency):
     base = sine(frequency, RATE)
     moved = to_acceleration(Record(base.signals, RATE, unit, ("x",), "sine"))
