@@ -34,6 +34,9 @@ RERUN ?= 3
 AGAIN = $$(ls notebooks/*/*.ipynb | awk -v first=$$(($$(date +%s) / 86400 * $(RERUN))) -v count=$(RERUN) \
 	'{ all[NR - 1] = $$0 } END { for (i = 0; i < count && i < NR; i++) print all[(first + i) % NR] }')
 DAY := $(shell date +%Y%m%d)
+# Property tests try the same examples in every run; with EXAMPLES=new those of the day, as `make dated` does.
+EXAMPLES ?=
+DRAWN := --hypothesis-profile=search --hypothesis-seed=$(DAY)
 
 # A part of `make test`: $(1) its name, $(2) the command, run even if a part before it failed. How long each took and
 # whether it passed is printed at the end.
@@ -58,10 +61,6 @@ choices: $(READY) ## Try every choice that the papers leave open; ARGS="TOPIC --
 settings: $(READY) ## Find which of these choices explain most printed numbers at once; ARGS="TOPIC --jobs N"
 	@$(BIN)/python -m workbook settings $(ARGS)
 
-.PHONY: readings
-readings: # by its old name, for this version
-	@echo "make readings is called make choices now: make choices ARGS=\"$(ARGS)\"" >&2; exit 2
-
 contest: $(READY) ## Rank observers of flexible machines; ARGS="MY_OBSERVER.py --seeds N --jobs N"
 	@$(BIN)/python -m stillwork contest $(ARGS)
 
@@ -69,7 +68,7 @@ test: $(TESTED) ## Style, types, unit tests, all notebooks, and what is committe
 	@mkdir -p build && rm -f $(PARTS)
 	$(call part,style,$(BIN)/ruff check . && $(BIN)/ruff format --check .)
 	$(call part,types,$(BIN)/python -m mypy)
-	$(call part,unit tests,$(UNDER_PINS) $(BIN)/python -m pytest $(UNIT))
+	$(call part,unit tests,$(UNDER_PINS) $(BIN)/python -m pytest $(UNIT) $(if $(EXAMPLES),$(DRAWN)))
 	$(call part,build,$(BIN)/python -m workbook figures)
 	$(call part,notebooks,rm -rf build/nbval && $(UNDER_PINS) STILLWORK_OUTPUT="$(CURDIR)/build/nbval" \
 		$(BIN)/python -m pytest $(AGAIN) --nbval --nbval-sanitize-with tests/nbval.cfg \
@@ -91,17 +90,16 @@ lab: $(READY) ## Open JupyterLab on the notebooks, on this machine only
 site: $(READY) ## Write the static site to build/site/index.html; ARGS=--still leaves explorers as pictures
 	@$(BIN)/python -m workbook site $(ARGS)
 
-browser: $(TESTED) ## Check the site and an explorer in Chromium (Debian: apt-get install chromium chromium-driver)
+browser: $(TESTED) ## Write the site and check it and an explorer in Chromium (Debian: apt-get install chromium chromium-driver)
+	@$(BIN)/python -m workbook site
 	$(BIN)/python -m pytest tests/browser $(ARGS)
 
 bench: $(TESTED) ## Measure speed beside named peers
 	@for file in $$(grep -l 'make bench' benchmarks/*.py); do OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python $$file $(ARGS) || exit 1; done
 
-
 dated: $(TESTED) ## Property tests on new examples, drawn from the day; DAY=20260101 for those of another
 	@echo "examples of --hypothesis-seed=$(DAY)"
-	$(UNDER_PINS) $(BIN)/python -m pytest $(UNIT) -m "hypothesis and not slow" --hypothesis-profile=search \
-		--hypothesis-seed=$(DAY) $(ARGS) || { echo "the same examples again: make dated DAY=$(DAY)"; exit 1; }
+	$(UNDER_PINS) $(BIN)/python -m pytest $(UNIT) -m "hypothesis and not slow" $(DRAWN) $(ARGS) || { echo "the same examples again: make dated DAY=$(DAY)"; exit 1; }
 
 accept: $(READY) ## Copy a build into notebooks/ and figures/, and into what follows from them
 	@$(BIN)/python -m workbook accept

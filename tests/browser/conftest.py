@@ -1,4 +1,4 @@
-"""A site built from the checkout, and a Chromium that notes every request and every message."""
+"""The site as `make site` wrote it, and a Chromium that notes every request and every message."""
 
 import base64
 import json
@@ -12,8 +12,7 @@ from selenium import webdriver
 from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.support.ui import WebDriverWait
 
-from workbook.publish import replace_folder
-from workbook.site.build import site_files
+from workbook import paths
 
 # No window, and nothing of Chromium's own on the network.
 SWITCHES = (
@@ -95,9 +94,10 @@ def _program(*names: str) -> str:
 
 
 @pytest.fixture(scope="session")
-def site(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("built") / "site"
-    replace_folder(folder, site_files())
+def site():
+    """What `make browser` has just written."""
+    folder = paths.root() / "build" / "site"
+    assert (folder / "index.html").is_file(), "run make site"
     return folder
 
 

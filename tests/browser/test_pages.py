@@ -1,6 +1,9 @@
 """Every page of the site, as a browser sees it from the disk. Each page is opened once, and all is asked then."""
 
+import base64
+import json
 import re
+import zlib
 from urllib.parse import unquote
 
 import pytest
@@ -9,6 +12,8 @@ from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import WebDriverWait
 
 from workbook.claims import ledger
+from workbook.site.states import MAIN, kept_states
+from workbook.tasks import tasks
 
 NARROW, WIDE = 390, 1440
 
@@ -129,6 +134,21 @@ return faults;
 """
 
 
+# Pages that name no design but the one that their explorer starts from.
+WITHOUT_PRESETS = {
+    "budget/05-your-budget": "the reader's machine",
+    "fixedpoint/09-your-plant": "the reader's plant",
+    "isolation/06-efficient-update": "one size, the paper's",
+    "isolation/08-your-floor": "the reader's floor",
+    "motion/01-scan-performance": "one controller, of Example 1.5.1",
+    "motion/02-model-reduction": "one reduction, of three modes",
+    "motion/25-rig-over-geometries": "geometries are drawn, none has a name",
+    "motion/29-your-machine": "the reader's machine",
+    "worstcase/02-contraction": "one counter-example",
+    "worstcase/07-your-record": "the reader's record",
+}
+
+
 @pytest.fixture(scope="module")
 def pages(site):
     return sorted(site.rglob("*.html"))
@@ -185,6 +205,35 @@ def seen(browser, site, pages) -> dict[str, dict[str, list]]:
 )
 def test_nothing_is_wrong_with(seen, question):
     assert seen[question] == {}
+
+
+@pytest.fixture(scope="module")
+def explorers(site) -> dict[str, dict]:
+    """What the site's explorers hold, by notebook."""
+    kept = {name: each["states"] for name, each in kept_states(tasks()).items() if "states" in each}
+    return {name: json.loads(zlib.decompress(base64.b64decode(text))) for name, text in kept.items()}
+
+
+def test_every_explorer_names_its_controls_and_shows_its_designs(explorers):
+    assert len(explorers) > 50
+    without = {page for page, each in explorers.items() if not each["presets"]}
+    assert without == WITHOUT_PRESETS.keys() & explorers.keys()
+    few = {}
+    for page, explorer in explorers.items():
+        names = [each["name"] for each in explorer["controls"]]
+        assert len({"".join(each.split()) for each in names}) == len(names), page
+        assert not [each for each in explorer["controls"] if each["name"].split()[-1] == each["unit"].lower()]
+        first = explorer["controls"][0]
+        if not first["choice"] and 0 in explorer["joint"] and len(first["stops"]) < MAIN:
+            few[page] = first["name"]
+        for design, stops in explorer["presets"]:
+            place = explorer["states"][".".join(map(str, stops))]
+            assert isinstance(explorer["pictures"][place], list), f"{page}: {design} has no picture"
+    # Whole numbers, each of which is a stop.
+    assert (
+        few.items()
+        <= {"motion/02-model-reduction": "retained", "motion/03-position-dependence": "place"}.items()
+    )
 
 
 def test_search_finds_sections_numbers_and_names_and_keeps_the_words_in_the_address(browser, site):

@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -85,6 +85,7 @@ def test_first_order_is_at_most_total_and_the_shares_add_up(values, seeded):
 
 
 @pytest.mark.slow
+@settings(derandomize=True)
 @given(arrays(float, (30, 2), elements=numbers), st.permutations(["a", "b", "c"]), st.integers(0, 99))
 def test_the_order_of_the_axes_does_not_matter_in_a_sample(values, order, seed):
     sizes = {"a": 3, "b": 4, "c": 5}

@@ -62,7 +62,7 @@ def first(model):
 
 
 @pytest.mark.slow
-@settings(max_examples=30)
+@settings(max_examples=30, derandomize=True)
 @given(seed=SEEDS, gamma=st.floats(0.01, 1.0))
 def test_sensitivity_step_minimises_its_quadratic_cost(seed, gamma):
     rng, model, u, y = problem(seed)

@@ -4,7 +4,6 @@ import html
 import io
 import json
 import re
-import zlib
 from collections import Counter
 from functools import cache
 from html.parser import HTMLParser
@@ -113,63 +112,6 @@ def test_every_notebook_number_and_module_is_there(files):
     rows = {each["id"] for each in elements(files["ledger.html"]).of("tr") if "id" in each}
     assert rows == {f"row-{claim.entry.id}" for claim in ledger()}
     assert "reference/stillwork.signals.spectra.html" in files
-
-
-ENTRY = re.compile(r"(.+?)\s+(\S+):(\S+)\s+(-?\d+)\s+?(\S*)\s+(.*)")  # as Sphinx reads a line of an inventory
-
-
-def test_the_inventory_leads_to_every_public_name(files):
-    """`objects.inv` read by the format's rules: four lines of head, then deflated lines."""
-    head, rest = files["objects.inv"].split(b"zlib.\n", 1)
-    first, project, version, last = head.decode().split("\n")
-    assert (
-        first == "# Sphinx inventory version 2"
-        and last == "# The remainder of this file is compressed using "
-    )
-    assert project == "# Project: stillwork" and re.fullmatch(r"# Version: [\d.]+", version)
-    lines = zlib.decompress(rest).decode().splitlines()
-    found = {}
-    for line in lines:
-        name, domain, role, priority, address, shown = ENTRY.fullmatch(line).groups()
-        assert (domain, shown) == ("py", "-") and priority in ("0", "1")
-        found[name] = role, address
-    assert len(found) == len(lines)
-    for _, address in found.values():
-        page, _, place = address.partition("#")
-        assert page in files
-        if place:
-            assert place in places_of(files[page])
-    assert found["stillwork.lti.state_space"][0] == "module"
-    assert found["stillwork.lti.state_space.StateModel"][0] == "class"
-    assert found["stillwork.lti.state_space.StateModel.frequency_response"][0] == "method"
-    assert found["stillwork.signals.spectra.estimate_spectrum"][0] == "function"
-
-
-@cache
-def places_of(page: bytes) -> set[str]:
-    return set(re.findall(r'\bid="([^"]+)"', page.decode()))
-
-
-def test_of_a_group_that_shares_its_reasons_one_entry_prints_them(files):
-    text = files["ledger.html"].decode()
-    shown = re.findall(r'<details id="why-([^"]+)"><summary>\w+</summary>(.*?)</details>', text, re.DOTALL)
-    topics = [(name.partition(".")[0], reasons) for name, reasons in shown]
-    assert len(set(topics)) == len(topics)
-    leading = re.findall(r'href="#why-([^"]+)"', text)
-    assert leading and set(leading) <= {name for name, _ in shown}
-    with_reason = sum(bool(claim.entry.reason or claim.unjudged) for claim in judged_ledger(notes=True))
-    assert len(shown) + len(leading) == with_reason
-    for name, page in files.items():  # and nowhere else
-        if name.startswith("notebooks/") and name.endswith(".html"):
-            assert 'id="why-' not in page.decode()
-
-
-def test_every_page_says_who_made_it_and_how_to_cite_it(files):
-    for name, page in files.items():
-        if name.endswith(".html"):
-            (foot,) = re.findall(r"<footer>(.*?)</footer>", page.decode(), re.DOTALL)
-            assert "By stillwork maintainers." in foot and "Licence BSD-3-Clause" in foot, name
-            assert "Cite: stillwork maintainers, stillwork: " in foot, name
 
 
 def test_every_committed_figure_is_shown(files):
