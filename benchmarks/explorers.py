@@ -4,9 +4,7 @@ Processor time, which other programs disturb less than the clock. A slider moves
 explorer remembers of the very same setting counts for nothing. `ARGS="TOPIC/NOTEBOOK"` chooses one.
 """
 
-import ast
 import contextlib
-import json
 import os
 import sys
 import tempfile
@@ -19,35 +17,13 @@ sys.path[:0] = [str(Path(__file__).parents[1] / "lib"), str(ROOT)]
 os.environ.update(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1", MKL_NUM_THREADS="1", MPLBACKEND="Agg")
 
 from stillwork.base.checks import InputError  # noqa: E402
-from workbook import explorer as explorers  # noqa: E402
 from workbook import figures  # noqa: E402
+from workbook.explorer import Choice, Slider  # noqa: E402
 from workbook.notebooks import select  # noqa: E402
 from workbook.redraw import Redraw  # noqa: E402
+from workbook.site.explorers import read_explorer  # noqa: E402
 
 LIMIT_MS = 100.0
-
-
-def needed(cells: list[str]) -> list[str]:
-    """The cells that the first explorer needs, itself last."""
-    at = next(number for number, source in enumerate(cells) if "explore(" in source)
-    kept, wanted = [cells[at]], _names(cells[at], ast.Load)
-    for source in reversed(cells[:at]):
-        if _names(source, ast.Store) & wanted:
-            kept.append(source)
-            wanted |= _names(source, ast.Load)
-    return kept[::-1]
-
-
-def _names(source: str, kind: type) -> set[str]:
-    """Names that a cell reads, or binds."""
-    tree = ast.walk(ast.parse(source))
-    found = set()
-    for node in tree:
-        if isinstance(node, ast.Name) and isinstance(node.ctx, kind):
-            found.add(node.id)
-        elif isinstance(node, ast.alias) and kind is ast.Store:
-            found.add(node.asname or node.name.partition(".")[0])
-    return found
 
 
 def settings(controls: dict) -> list[dict]:
@@ -61,7 +37,7 @@ def settings(controls: dict) -> list[dict]:
 
 
 def _places(control) -> tuple:
-    if isinstance(control, explorers.Choice):
+    if isinstance(control, Choice):
         return control.options
     low, high = control.low, control.high
     middle = (low * high) ** 0.5 if control.log else (low + high) / 2
@@ -70,7 +46,7 @@ def _places(control) -> tuple:
 
 def moves(controls: dict, one: dict) -> list[dict]:
     """A setting, with the slider that left its start, else the first one, moved by a little and a little more."""
-    sliders = {name: each for name, each in controls.items() if isinstance(each, explorers.Slider)}
+    sliders = {name: each for name, each in controls.items() if isinstance(each, Slider)}
     moved = [name for name, each in sliders.items() if one[name] != each.start]
     name = next(iter([*moved, *sliders]))
     return [{**one, name: _beside(sliders[name], one[name], part)} for part in (0.011, 0.023)]
@@ -101,32 +77,18 @@ def redraw_ms(redraw: Callable, settings: list[dict]) -> float | None:
 
 def main() -> None:
     figures.use_house_style()
-    caught = []
-
-    def explore(draw, presets=None, **controls):
-        caught.append((draw, controls, explorers.whole_settings(presets or {}, controls)))
-
-    explorers.explore = explore
     slow = []
     print(f"{'explorer':34} {'start':>10} {'slowest':>10}   ms; slowest at")
     for notebook in select(*sys.argv[1:]):
-        cells = [
-            "".join(cell["source"])
-            for cell in json.loads(notebook.source)["cells"]
-            if cell["cell_type"] == "code"
-        ]
-        if not any("explore(" in source for source in cells):
+        with contextlib.redirect_stdout(None):  # the notebook's own tables
+            explorer = read_explorer(notebook)
+        if explorer is None:
             continue
-        caught.clear()
-        space = {"__name__": "__main__"}
-        for source in needed(cells):
-            with contextlib.redirect_stdout(None):  # the notebook's own tables
-                exec(compile(source, notebook.name, "exec"), space)
-        [(draw, controls, designs)] = caught
-        redraw = Redraw(draw)
+        controls, redraw = explorer.controls, Redraw(explorer.draw)
         redraw(**settings(controls)[0])  # the first picture finds the layout of all
         times = [
-            (redraw_ms(redraw, moves(controls, one)), one) for one in [*settings(controls), *designs.values()]
+            (redraw_ms(redraw, moves(controls, one)), one)
+            for one in [*settings(controls), *explorer.presets.values()]
         ]
         longest, worst = max((span, repr(one), one) for span, one in times if span is not None)[::2]
         start = times[0][1]

@@ -7,7 +7,6 @@ With `--write` the filters' times are stored in `data/fixedpoint/filter_times.cs
 
 import ctypes
 import sys
-import tempfile
 import time
 from pathlib import Path
 
@@ -112,27 +111,6 @@ long run(const double *q, const double *z, const double *u, long samples, double
 }
 """
 
-COLD = """
-import sys, time
-start = time.process_time()
-import numpy as np
-from experiments.fixedpoint import added_controllers, load_oscillator, published_controllers
-from stillwork.control import asin_trajectory, simulate  # noqa: E402
-imported = time.process_time() - start
-models = load_oscillator()
-exact, approximate = models["exact"].plant, models["approximate"].plant
-for controller in (published_controllers(approximate) | added_controllers(approximate)).values():
-    simulate(exact, controller, asin_trajectory(duration=0.1))
-total = time.process_time() - start
-import numba, stillwork
-missed = sum(
-    sum(kernel.stats.cache_misses.values())
-    for name, module in list(sys.modules.items()) if name.startswith(("stillwork", "workbook", "experiments"))
-    for kernel in vars(module).values() if isinstance(kernel, numba.core.registry.CPUDispatcher)
-)
-print(imported, total, missed)
-"""
-
 
 def main() -> None:
     models = load_oscillator()
@@ -141,7 +119,6 @@ def main() -> None:
     times = filter_times(approximate)
     peers(approximate, times)
     whole_study(exact, approximate)
-    cold_start()
     if "--write" in sys.argv:
         write(times)
 
@@ -258,18 +235,6 @@ def whole_study(exact, approximate) -> None:
         compare(exact, controllers, trajectory, noise, runs=40, seed=0)
     print()
     report("study of 3 filters x 5 noises x 40 seeds, s", time.process_time() - start, "<= 5")
-
-
-def cold_start() -> None:
-    with tempfile.TemporaryDirectory() as cache:
-        for name, limit in (("cold", 8.0), ("second run", None)):
-            imported, total, missed = map(float, timing.python(COLD, NUMBA_CACHE_DIR=cache).split())
-            label = f"{name}: import and first call of every filter, s (import {imported:.1f})"
-            if limit:
-                report(label, total, f"<= {limit}")
-            else:
-                print(f"  {label:62s} {total:8.2f}")
-                report("second run: kernels compiled", missed, "<= 0")
 
 
 def report(name: str, value: float, target: str) -> None:

@@ -7,11 +7,7 @@ With `--write` the times of the update forms are stored in `data/isolation/updat
 
 import ctypes
 import os
-import platform
-import shutil
-import subprocess
 import sys
-import tempfile
 import time
 from pathlib import Path
 
@@ -21,6 +17,7 @@ os.environ.update(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1", MKL_NUM_THREADS
 
 import numpy as np  # noqa: E402
 
+from benchmarks.timing import compiled, in_turn, judged, machine, write_times  # noqa: E402
 from experiments.isolation import loop, simulation, sources  # noqa: E402
 from experiments.isolation.floors import flat_floor  # noqa: E402
 from experiments.isolation.twin import load_twin  # noqa: E402
@@ -55,102 +52,40 @@ void run(double *w, double *p, const double *psi, const double *e, double lambda
 }
 """
 
-COLD = """
-import sys, time
-start = time.thread_time()
-import numpy as np
-from stillwork.estimation.adaptive import FeLms, FeRls
-from notebooks.isolation.numerical_stability import run_cure, smallest_loop
-from experiments.isolation.floors import flat_floor
-from stillwork.estimation.online import AdaptationStepper, identify
-from experiments.isolation.simulation import simulate
-from notebooks.isolation.numerical_stability import covariance_run
-from experiments.isolation.twin import load_twin
-imported = time.thread_time() - start
-rng = np.random.default_rng(0)
-psi, d = rng.standard_normal((9, 200)), rng.standard_normal((6, 200))
-twin = load_twin("rigid_body")
-for settings in (FeLms(), FeRls(1.0)):
-    identify(settings, psi, d)
-    AdaptationStepper(settings, np.zeros((6, 9))).update(psi[:, 0], d[:, 0])
-    simulate(twin, flat_floor(), 0.2, adaptation=settings)
-simulate(twin.varied(estimate="full"), flat_floor(), 0.2)
-for precision in ("float64", "float32"):
-    covariance_run("triangle", psi, 0.99, np.eye(9), 2, precision)
-loop = smallest_loop([(psi[:3], np.ones(9))], twin.integrator, twin.noise_shaping)
-run_cure("limit", loop, np.ones(9), 0.99)
-total = time.thread_time() - start
-import numba, stillwork
-kernels = {
-    id(value): value
-    for name, module in list(sys.modules.items()) if name.startswith(("stillwork", "workbook", "experiments", "notebooks"))
-    for value in vars(module).values() if hasattr(value, "stats") and hasattr(value, "py_func")
-}
-missed = sum(sum(k.stats.cache_misses.values()) for k in kernels.values())
-print(imported, total - imported, missed, sum(len(k.signatures) > 0 for k in kernels.values()))
-"""
-
 
 def main() -> None:
-    rows = []
-    updates = update_times()
-    recursion = updates["recursion"][0]
+    updates, loops = update_times(), loop_times()
+    taken = {name: float(np.median(times)) for name, times in {**updates, **loops}.items()}
+    recursion, rows = taken["recursion"], []
     if "C" in updates:
-        rows.append(
-            ("update 9 x 6: numba / C (gcc -O3 -march=native)", recursion / updates["C"][0], "<= 2.5")
-        )
+        rows.append(("update 9 x 6: numba / C (gcc -O3 -march=native)", recursion / taken["C"], "<= 2.5"))
     for peer, name in (("padasip", "padasip FilterRLS"), ("pyroomacoustics", "pyroomacoustics RLS")):
-        if peer in updates:
-            rows.append((f"update 9 x 6: {name} per output / numba", updates[peer][0] / recursion, ">= 400"))
-    safe = updates["recursion in float32"][0]
-    rows.append(("update 9 x 6: float32 safe form / triangle in float64", safe / recursion, "<= 1.5"))
-    rows.append(("update 9 x 6: FeRLS / FeLMS alone", recursion / updates["FeLMS"][0], ""))
-    loops = loop_times()
-    felms, ferls = (loops[f"closed loop {name}"][0] for name in ("FeLMS", "FeRLS"))
-    rows.append(("closed loop with FeRLS, floor drawn before, us per sample", ferls, "<= 0.5"))
-    rows.append(("simulate with FeRLS, floor and all, us per sample", loops["simulation FeRLS"][0], "<= 0.5"))
+        rows.append((f"update 9 x 6: {name} per output / numba", taken[peer] / recursion, ">= 400"))
+    safe = taken["recursion in float32"] / recursion
+    rows.append(("update 9 x 6: float32 safe form / triangle in float64", safe, "<= 1.5"))
+    rows.append(("update 9 x 6: FeRLS / FeLMS alone", recursion / taken["FeLMS"], ""))
+    felms, ferls = (taken[f"closed loop {name}"] for name in ("FeLMS", "FeRLS"))
+    rows.append(("closed loop with FeRLS, floor drawn before, us per sample", 1e6 * ferls, "<= 0.5"))
+    whole = 1e6 * taken["simulation FeRLS"]
+    rows.append(("simulate with FeRLS, floor and all, us per sample", whole, "<= 0.5"))
     rows.append(("closed loop: FeRLS / FeLMS", ferls / felms, "<= 1.3"))
-    cold, warm = compilation()
-    rows.append(("cold compilation of all kernels, s", cold[1] - warm[1], "<= 10"))
-    rows.append(("kernels used / compiled in the second run", f"{warm[3]:.0f} / {warm[2]:.0f}", "/ 0"))
-    rows.append(("import stillwork, s", import_time(), "<= 0.2"))
 
-    print(f"{machine()}; median of {REPEATS} repeats")
+    print(f"{machine('numba')}; median of {REPEATS} repeats")
     print(
         "\nupdate of 9 regressors x 6 outputs, and closed loop: microseconds per sample (lowest .. highest)"
     )
-    for name, (median, low, high) in {**updates, **loops}.items():
-        print(f"  {name:38s} {median:10.3f}   ({low:.3f} .. {high:.3f})")
+    for name, times in {**updates, **loops}.items():
+        print(
+            f"  {name:38s} {1e6 * np.median(times):10.3f}   ({1e6 * min(times):.3f} .. {1e6 * max(times):.3f})"
+        )
     print()
     for name, value, target in rows:
-        text = value if isinstance(value, str) else f"{value:.3g}"
-        print(f"  {name:56s} {text:>9s}   {target:8s} {verdict(value, target)}")
+        print(f"  {name:56s} {value:9.3g}   {target:8s} {judged(value, target)}")
     if "--write" in sys.argv[1:]:
         write({**updates, **loops})
 
 
-def verdict(value, target: str) -> str:
-    if not target:
-        return ""
-    relation, bound = target.split()
-    number = float(str(value).rpartition("/")[2])
-    met = number >= float(bound) if relation == ">=" else number <= float(bound)
-    return "met" if met else "MISSED"
-
-
-def in_turn(contenders: dict, repeats: int = REPEATS) -> dict[str, tuple[float, float, float]]:
-    """Median, lowest and highest time in microseconds per sample of functions that return (seconds, samples)."""
-    for run in contenders.values():
-        run()
-    times = {name: [] for name in contenders}
-    for _ in range(repeats):
-        for name, run in contenders.items():
-            seconds, samples = run()
-            times[name].append(1e6 * seconds / samples)
-    return {name: (float(np.median(t)), min(t), max(t)) for name, t in times.items()}
-
-
-def update_times() -> dict[str, tuple[float, float, float]]:
+def update_times() -> dict[str, list[float]]:
     rng = np.random.default_rng(0)
     samples = 100_000
     psi = rng.standard_normal((samples, REGRESSORS))
@@ -209,61 +144,42 @@ def update_times() -> dict[str, tuple[float, float, float]]:
         "block inverse": inverse(1),
         "full inverse": inverse(ACTUATORS),
         **peers(psi, error),
-        **compiled(psi, error, start),
+        **by_hand(psi, error, start),
     }
-    return in_turn(contenders)
+    return in_turn(contenders, REPEATS)
 
 
 def peers(psi, error) -> dict:
     """Published filters, one per output, because none of them shares the covariance."""
-    contenders, count = {}, 200
-    try:
-        from padasip.filters import FilterRLS
+    from padasip.filters import FilterRLS
+    from pyroomacoustics.adaptive import RLS
 
-        def padasip():
-            filters = [FilterRLS(REGRESSORS, mu=FORGETTING, eps=1.0, w="zeros") for _ in range(ACTUATORS)]
-            begin = time.thread_time()
-            for k in range(count):
-                for a, one in enumerate(filters):
-                    one.adapt(error[k, a], psi[k])
-            return time.thread_time() - begin, count
+    count = 200
 
-        contenders["padasip"] = padasip
-    except ImportError:
-        print("padasip is not installed: left out")
-    try:
-        from pyroomacoustics.adaptive import RLS
+    def padasip():
+        filters = [FilterRLS(REGRESSORS, mu=FORGETTING, eps=1.0, w="zeros") for _ in range(ACTUATORS)]
+        begin = time.thread_time()
+        for k in range(count):
+            for a, one in enumerate(filters):
+                one.adapt(error[k, a], psi[k])
+        return time.thread_time() - begin, count
 
-        def pyroomacoustics():
-            filters = [
-                RLS(REGRESSORS, lmbd=FORGETTING, delta=1.0, dtype=np.float64) for _ in range(ACTUATORS)
-            ]
-            begin = time.thread_time()
-            for k in range(count):
-                for a, one in enumerate(filters):
-                    one.update(psi[k, 0], error[k, a])
-            return time.thread_time() - begin, count
+    def pyroomacoustics():
+        filters = [RLS(REGRESSORS, lmbd=FORGETTING, delta=1.0, dtype=np.float64) for _ in range(ACTUATORS)]
+        begin = time.thread_time()
+        for k in range(count):
+            for a, one in enumerate(filters):
+                one.update(psi[k, 0], error[k, a])
+        return time.thread_time() - begin, count
 
-        contenders["pyroomacoustics"] = pyroomacoustics
-    except ImportError:
-        print("pyroomacoustics is not installed: left out")
-    return contenders
+    return {"padasip": padasip, "pyroomacoustics": pyroomacoustics}
 
 
-def compiled(psi, error, start) -> dict:
+def by_hand(psi, error, start) -> dict:
     """Hand-written C, where there is a compiler; checked to give the same weights."""
-    compiler = shutil.which("gcc") or shutil.which("cc")
-    if compiler is None:
-        print("no C compiler: left out")
+    if not (library := compiled({"update.c": C_SOURCE}, "-O3", "-march=native")):
         return {}
-    folder = tempfile.mkdtemp(prefix="stillwork-bench-")
-    source, library = Path(folder, "update.c"), Path(folder, "update.so")
-    source.write_text(C_SOURCE)
-    subprocess.run(
-        [compiler, "-O3", "-march=native", "-shared", "-fPIC", "-o", str(library), str(source)], check=True
-    )
-    run_c = ctypes.CDLL(str(library)).run
-    shutil.rmtree(folder)
+    run_c = library.run
     pointer = ctypes.POINTER(ctypes.c_double)
     run_c.argtypes = [pointer, pointer, pointer, pointer, ctypes.c_double, ctypes.c_long]
 
@@ -283,7 +199,7 @@ def compiled(psi, error, start) -> dict:
     return {"C": lambda: (call(len(psi))[0], len(psi))}
 
 
-def loop_times() -> dict[str, tuple[float, float, float]]:
+def loop_times() -> dict[str, list[float]]:
     """Closed loop of the rigid-body twin, alone and with floor and noise drawn; times as in `in_turn`."""
     twin, seconds = load_twin("rigid_body"), 20.0
     covariance = np.full(twin.regressors, 0.6)  # about the steady value on this floor
@@ -330,55 +246,20 @@ def loop_times() -> dict[str, tuple[float, float, float]]:
     contenders |= {
         f"{len(seeds)} seeds together {name}": drawn(settings, seeds) for name, settings in algorithms.items()
     }
-    return in_turn(contenders)
+    return in_turn(contenders, REPEATS)
 
 
-def compilation() -> tuple[list[float], list[float]]:
-    """Import, run, compiled and used kernels of a process with an empty cache, and of the next one."""
-    with tempfile.TemporaryDirectory(prefix="stillwork-bench-") as cache:
-        return tuple([float(x) for x in python(COLD, NUMBA_CACHE_DIR=cache).split()] for _ in range(2))
-
-
-def import_time() -> float:
-    """What `import stillwork` takes in a fresh interpreter, median, seconds."""
-    code = "import time; start = time.thread_time(); import stillwork; print(time.thread_time() - start)"
-    return float(np.median([float(python(code)) for _ in range(REPEATS)]))
-
-
-def python(code: str, **environment) -> str:
-    env = {**os.environ, **environment, "PYTHONPATH": f"{ROOT / 'lib'}{os.pathsep}{ROOT}"}
-    done = subprocess.run([sys.executable, "-c", code], env=env, stdout=subprocess.PIPE, text=True)
-    if done.returncode:
-        raise SystemExit("a measured process failed; its message stands above")
-    return done.stdout
-
-
-def machine() -> str:
-    name = platform.processor() or platform.machine()
-    info = Path("/proc/cpuinfo")
-    if info.exists():
-        models = [
-            line.partition(":")[2].strip() for line in info.read_text().splitlines() if "model name" in line
-        ]
-        name = models[0] if models else name
-    return f"{name}, {platform.system()}, Python {platform.python_version()}, numpy {np.__version__}"
-
-
-def write(updates) -> None:
-    import numba
-
-    folder = ROOT / "data" / "isolation" / "update_times"
-    folder.mkdir(parents=True, exist_ok=True)
-    lines = ["form,median_us,lowest_us,highest_us"]
-    lines += [f"{name},{median:.4g},{low:.4g},{high:.4g}" for name, (median, low, high) in updates.items()]
-    (folder / "update_times.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    (folder / "SOURCE.md").write_text(
-        "# Measured times of one update of 9 regressors x 6 outputs, and of the closed loop around it\n\n"
-        "Microseconds per sample, median, lowest and highest of "
-        f"{REPEATS} repeats; written by `python benchmarks/isolation.py --write`, which describes each form.\n"
-        "Measured, not computed: another machine gives other times, which is why notebook 06 reads this file.\n\n"
-        f"Machine: {machine()}, numba {numba.__version__}; other programs were running.\n",
-        encoding="utf-8",
+def write(times: dict[str, list[float]]) -> None:
+    write_times(
+        "isolation/update_times/update_times.csv",
+        "form",
+        "us",
+        1e6,
+        times,
+        "Measured times of one update of 9 regressors x 6 outputs, and of the closed loop around it: microseconds per sample,\n"
+        f"median, lowest and highest of {REPEATS} repeats; written by `python benchmarks/isolation.py --write`, which describes\n"
+        "each form. Measured, not computed: another machine gives other times, which is why notebook 06 reads this file.\n\n"
+        f"Machine: {machine('numba')}; other programs were running.",
     )
 
 

@@ -8,7 +8,6 @@ With `--write` the times beside peers are stored in `data/motion/times/` for the
 import ctypes
 import os
 import sys
-import time
 import warnings
 from functools import partial
 from pathlib import Path
@@ -22,14 +21,11 @@ import numpy as np  # noqa: E402
 
 from benchmarks.timing import compiled, in_turn, machine, ratio, write_times  # noqa: E402
 from experiments.motion.designs import DESIGNS, stage_bandwidth, stage_compensator  # noqa: E402
-from experiments.motion.explorers import paint_design  # noqa: E402
 from experiments.motion.machines import (  # noqa: E402
     published_setpoint,
     stage,
     stage_mass,
 )
-from experiments.motion.scan_study import published_scan  # noqa: E402
-from notebooks.motion.robust_comparison import ENTRANTS, candidates, order_trial, prepare  # noqa: E402
 from stillwork.control.bandwidth import SIX_DB  # noqa: E402
 from stillwork.control.feedforward import Feedforward, error_loop, tracking_model  # noqa: E402
 from stillwork.control.loops import closed_loop  # noqa: E402
@@ -38,7 +34,6 @@ from stillwork.estimation.robust import kalman_gains  # noqa: E402
 from stillwork.estimation.time_varying import TimeVaryingModel, estimate  # noqa: E402
 from stillwork.lti import simulate  # noqa: E402
 from stillwork.lti.discretisation import zoh_modes  # noqa: E402
-from workbook.studies import run_study  # noqa: E402
 
 FAMILY = PidFamily(stage_mass())
 PEER_GRID = 2 * np.pi * np.geomspace(1, 3000, 300)  # a reduced grid: the peer steps over the sharpest peaks
@@ -53,14 +48,12 @@ def main() -> None:
     search = in_turn(
         {"search, seven loops with observers": our_search, "search through python-control": peer_search}, 3
     )
-    drawing = in_turn({"explorer, one redraw": redraw}, 5)
     rows = [
         ("response: python-control / ours, 16 states, 2000 points", ratio(response), ">= 50"),
         ("tracking: python-control / ours, per sample", ratio(tracking), ">= 50"),
         ("bandwidth search, s", float(np.median(next(iter(search.values())))), "< 0.1"),
         ("bandwidth search: python-control on a reduced grid / ours", ratio(search), ""),
         ("bandwidth search: the same, per design tried", ratio(search) * 154 / PEER_DESIGNS, ""),
-        ("explorer, one redraw without encoding, s", float(np.median(next(iter(drawing.values())))), "< 0.2"),
     ]
     filtering = in_turn(filter_contenders(), 7)
     ours = np.array(filtering["Kalman step, ours"])
@@ -71,8 +64,7 @@ def main() -> None:
             rows.append(("Kalman step: filterpy / ours", float(np.median(times / ours)), ">= 30"))
     if "--write" in sys.argv[1:]:
         write({**response, **tracking, **search, **filtering})
-    rows += monte_carlo()
-    for group in (response, tracking, search, drawing, filtering):
+    for group in (response, tracking, search, filtering):
         for name, times in group.items():
             print(
                 f"  {name:44s} {1e3 * np.median(times):10.3f} ms   ({1e3 * min(times):.3f} .. {1e3 * max(times):.3f})"
@@ -155,10 +147,6 @@ def peer_feasible(plant, observer, controller) -> bool:
     tracking = control.frequency_response(controller, PEER_GRID).frdata[0, 0]
     s_i = response[0, 0] / tracking  # r to u is C S_I
     return bool(np.abs(s_i).max() <= SIX_DB)
-
-
-def redraw() -> None:
-    paint_design(73.0, 0.035)
 
 
 STEPS = 2000
@@ -282,40 +270,6 @@ def c_kalman(library, model: TimeVaryingModel, q: float, r: float, y: np.ndarray
     for found, wanted in ((gain, ours.gain), (covariance, ours.covariance)):
         assert np.abs(found[1:] - wanted[1:]).max() < 1e-6 * np.abs(wanted).max()
     return run, partial(run, kept)
-
-
-def monte_carlo() -> list[tuple]:
-    """Two hundred perturbed plants, four tuned filters, on two worker processes of a cluster and here."""
-    from distributed import Client, LocalCluster
-
-    contest = prepare(published_scan(), 0.05, rigid=False)
-    settings = {"contest": contest, "tried": candidates(contest, 9), "law": "ends", "rigid": False}
-    settings |= {"tuning_plants": 20, "plants": 20}
-    start = time.perf_counter()
-    here = run_study(order_trial, 10, 1, progress=False, **settings)
-    alone = time.perf_counter() - start
-    with (
-        LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
-        Client(cluster) as client,
-    ):
-        executor = client.get_executor()
-        run_study(
-            order_trial,
-            2,
-            2,
-            executor=executor,
-            progress=False,
-            **{**settings, "plants": 1, "tuning_plants": 1},
-        )  # warm-up
-        start = time.perf_counter()
-        there = run_study(order_trial, 10, 1, executor=executor, progress=False, **settings)
-        together = time.perf_counter() - start
-    same = all(np.array_equal(here[name], there[name]) for name in ENTRANTS)
-    return [
-        ("200 plants x 4 filters, tuned, one process, s of the clock", alone, ""),
-        ("200 plants x 4 filters, tuned, cluster of 2 processes, s of the clock", together, "< 60"),
-        ("the cluster's numbers are identical (1: yes)", float(same), "1"),
-    ]
 
 
 if __name__ == "__main__":

@@ -1,7 +1,6 @@
 """What the benchmarks share: contenders in turn, the machine, C by hand, and the tables that notebooks and site read."""
 
 import ctypes
-import os
 import platform
 import shutil
 import subprocess
@@ -83,12 +82,3 @@ def write_times(
     source, heading = path.parent / "SOURCE.md", f"## {path.name}\n"
     kept = source.read_text(encoding="utf-8").partition(heading)[0] if source.exists() else ""
     source.write_text(f"{kept}{heading}\n{about}\n", encoding="utf-8")
-
-
-def python(code: str, **environment: str) -> str:
-    """What a fresh Python prints that has the checkout on its path."""
-    import sys
-
-    env = {**os.environ, **environment, "PYTHONPATH": f"{ROOT / 'lib'}{os.pathsep}{ROOT}"}
-    command = [sys.executable, "-c", code]
-    return subprocess.run(command, env=env, stdout=subprocess.PIPE, text=True, check=True).stdout

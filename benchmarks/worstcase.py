@@ -12,12 +12,9 @@ With `--write` the times against n go to `data/worstcase/update_times/` for note
 import csv
 import ctypes
 import os
-import platform
-import subprocess
 import sys
 import time
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 ROOT = Path(__file__).parents[1]
@@ -25,6 +22,7 @@ sys.path[:0] = [str(ROOT / "lib"), str(ROOT)]
 
 import numpy as np  # noqa: E402
 
+from benchmarks.timing import compiled, judged, machine  # noqa: E402
 from notebooks.worstcase.geometry import solve_cone_program  # noqa: E402
 from notebooks.worstcase.time_updates import UPDATES, run_printed, slope  # noqa: E402
 from stillwork.estimation import FeRls, MinMaxRegressor, RecursiveLeastSquares, identify, track  # noqa: E402
@@ -69,7 +67,7 @@ def main() -> None:
     print()
     for name, one, other, target in rows:
         value = min(small[one]) / min(small[other])
-        print(f"  {name:52s} {value:10.2f}   {target:8s} {verdict(value, target)}")
+        print(f"  {name:52s} {value:10.2f}   {target:8s} {judged(value, target)}")
 
     table = growth()
     print("\nmicroseconds an update, against n")
@@ -150,20 +148,15 @@ void run(long samples, const double *x, const double *y, double coef[1][{n}])
 }}
 """
     found, times = np.zeros((1, n)), {"RLS, fit": [], "RLS, C": []}
-    with TemporaryDirectory() as folder:
-        for name, text in (least_squares_code(estimator, n, 1, "rls") | {"run.c": driver}).items():
-            Path(folder, name).write_text(text)
-        command = ["gcc", "-std=c99", "-O3", "-shared", "-fPIC", "rls.c", "run.c", "-o", "rls.so", "-lm"]
-        subprocess.run(command, cwd=folder, check=True)
-        library = ctypes.CDLL(f"{folder}/rls.so")
-        given = [ctypes.c_void_p(each.ctypes.data) for each in (rows, outputs, found)]
-        for _ in range(REPEATS):
-            began = time.process_time()
-            estimator.fit(rows, outputs)
-            middle = time.process_time()
-            library.run(ctypes.c_long(samples), *given)
-            times["RLS, fit"].append((middle - began) / samples * 1e6)
-            times["RLS, C"].append((time.process_time() - middle) / samples * 1e6)
+    library = compiled(least_squares_code(estimator, n, 1, "rls") | {"run.c": driver}, "-std=c99", "-O3")
+    given = [ctypes.c_void_p(each.ctypes.data) for each in (rows, outputs, found)]
+    for _ in range(REPEATS):
+        began = time.process_time()
+        estimator.fit(rows, outputs)
+        middle = time.process_time()
+        library.run(ctypes.c_long(samples), *given)
+        times["RLS, fit"].append((middle - began) / samples * 1e6)
+        times["RLS, C"].append((time.process_time() - middle) / samples * 1e6)
     assert np.array_equal(found[0], estimator.coef_)
     return times
 
@@ -246,25 +239,6 @@ def write(table: dict[str, list[float]]) -> None:
         encoding="utf-8",
     )
     print(f"\nwrote {folder}")
-
-
-def machine() -> str:
-    model = platform.processor() or platform.machine()
-    try:
-        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                model = line.partition(":")[2].strip()
-                break
-    except OSError:
-        pass
-    return f"{model}, {os.cpu_count()} logical cores, {platform.system()}, Python {platform.python_version()}"
-
-
-def verdict(value: float, target: str) -> str:
-    if not target:
-        return ""
-    sign, number = target.split()
-    return "met" if (value <= float(number) if sign == "<=" else value >= float(number)) else "MISSED"
 
 
 if __name__ == "__main__":
