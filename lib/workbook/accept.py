@@ -18,7 +18,7 @@ from workbook.compare import Comparison, compare, found_claims, same_outputs
 from workbook.lock import exclusive_lock, interrupts, unwound
 from workbook.notebooks import cleaned, notebook_text, select, with_pictures
 from workbook.provenance import commit, is_traceable, with_commit
-from workbook.publish import RECORD, Edited, read_record, replace_all, replace_file, seconds_taken
+from workbook.publish import RECORD, Edited, content_of, read_record, replace_all, replace_file, seconds_taken
 from workbook.tasks import DURATIONS, Task, durations, tasks, updated_durations
 
 FOLDERS = ("notebooks", "data", "figures")  # what accepting reads; it writes to the first and the last
@@ -81,7 +81,7 @@ def _print_summary(claims: list[Claim], built: list[Task]) -> None:
         if folder not in {task.committed for task in built}:
             print(f"belongs to no notebook, remove it: {folder.relative_to(paths.root())}")
     for task in built:
-        if not is_traceable(_provenance(_read(task.committed / "provenance.json"))) and commit():
+        if not is_traceable(_provenance(content_of(task.committed / "provenance.json"))) and commit():
             print(f"made from what no commit holds: {task.label}; commit it, then accept again")
         for file in sorted(task.committed.rglob("*")):
             if (
@@ -162,11 +162,14 @@ def _take_over(task: Task, comparison: Comparison, copy: Path) -> None:
     if "claims.json" in now:
         content["claims.json"] = _claims_kept(task, home / "claims.json", comparison)
         taken.add("claims.json")
-    taken = {name for name in taken & now if not _same(home / name, content[name])}
+    taken = {name for name in taken & now if content_of(home / name) != content[name]}
     if "provenance.json" in now:
         inputs, _ = read_record(task.target) or ({}, [])
         content["provenance.json"] = with_commit(content["provenance.json"], task.notebook, inputs)
-    new, old = (_provenance(content.get("provenance.json")), _provenance(_read(home / "provenance.json")))
+    new, old = (
+        _provenance(content.get("provenance.json")),
+        _provenance(content_of(home / "provenance.json")),
+    )
     if taken or now - before or _made_under(old) != _made_under(new) or _is_first_traceable(old, new):
         taken |= (now - before) | {"provenance.json"}
     for name in taken:
@@ -181,10 +184,6 @@ def _note_durations(built: list[Task], copy: Path) -> None:
     noted = updated_durations(durations(), {task.notebook.name: seconds_taken(task.target) for task in built})
     if noted != durations():
         replace_file(copy / DURATIONS, (json.dumps(noted, indent=1) + "\n").encode())
-
-
-def _read(file: Path) -> bytes | None:
-    return file.read_bytes() if file.is_file() else None
 
 
 def _provenance(content: bytes | None) -> dict:
@@ -207,10 +206,6 @@ def _claims_kept(task: Task, committed: Path, comparison: Comparison) -> bytes:
     return claims_text(
         {name: each if name in comparison.claims else before[name] for name, each in now.items()}
     ).encode()
-
-
-def _same(file: Path, content: bytes) -> bool:
-    return file.is_file() and file.read_bytes() == content
 
 
 def _take_over_outputs(task: Task, file: Path, home: Path) -> None:

@@ -332,6 +332,14 @@ class Claim:
             text = f"{self.ours:.{digits}g}"
         return text
 
+    def row(self, digits: int) -> tuple[str, ...]:
+        """Cells of a table: id, place, published value, ours, its interval, unit."""
+        entry = self.entry
+        ours = "" if self.ours is None else self.shown(digits)
+        published = "" if entry.published is None else f"{entry.published:.4g}"
+        spread = "{:.3g} .. {:.3g}".format(*self.interval) if self.interval else ""
+        return entry.id, entry.place, published, ours, spread, entry.unit
+
     def as_dict(self) -> dict:
         """All of it as plain values, for JSON and for tables."""
         entry = self.entry
@@ -441,14 +449,8 @@ class ClaimsTable:
         file.write_text(claims_text(found), encoding="utf-8")
 
     def _rows(self) -> list[tuple[str, ...]]:
-        rows = [("claim", "place", "published", "ours", "interval", "unit", "here")]
-        for claim in self.claims:
-            entry = claim.entry
-            spread = "" if not claim.interval else "{:.3g} .. {:.3g}".format(*claim.interval)
-            published = "" if entry.published is None else f"{entry.published:.4g}"
-            row = (entry.id, entry.place, published, claim.shown(3), spread)
-            rows.append((*row, entry.unit, claim.here))
-        return rows
+        head = ("claim", "place", "published", "ours", "interval", "unit", "here")
+        return [head, *((*claim.row(3), claim.here) for claim in self.claims)]
 
     def _reasons(self) -> list[str]:
         """Each reason once, with those that share it."""

@@ -21,6 +21,7 @@ from workbook.checks import InputError
 from workbook.claims import Claim, load_entries
 from workbook.figures import read_table
 from workbook.notebooks import cleaned, joined
+from workbook.publish import content_of
 from workbook.tasks import Task, built
 
 # Of the range that a series spans: chosen, a ninth of a pixel in the tallest picture (1155 pixels with its frame), so
@@ -124,8 +125,8 @@ def summary(found: list[Comparison]) -> list[str]:
 
 def difference(now: Path, before: Path) -> float | None:
     """Largest difference between two figures, given without suffix; None when they are not the same figure."""
-    tables = [_bytes(each.with_name(each.name + ".csv")) for each in (now, before)]
-    pictures = [_bytes(each.with_name(each.name + ".png")) for each in (now, before)]
+    tables = [content_of(each.with_name(each.name + ".csv")) for each in (now, before)]
+    pictures = [content_of(each.with_name(each.name + ".png")) for each in (now, before)]
     if pictures == [None, None] and tables[0] == tables[1]:  # numbers of a notebook's own making
         return 0.0
     if None in pictures or (tables[0] is None) != (tables[1] is None):
@@ -144,7 +145,7 @@ def difference(now: Path, before: Path) -> float | None:
 def numbers_difference(now: Path, before: Path) -> float | None:
     """As `difference`, of the plotted numbers alone."""
     tables = [each.with_name(each.name + ".csv") for each in (now, before)]
-    if _bytes(tables[0]) == _bytes(tables[1]) is not None:
+    if content_of(tables[0]) == content_of(tables[1]) is not None:
         return 0.0
     if not all(table.is_file() for table in tables):
         return None
@@ -370,7 +371,3 @@ def found_claims(file: Path) -> dict:
         isinstance(each, dict) and "ours" in each for each in found.values()
     )
     return found if whole else {}
-
-
-def _bytes(file: Path) -> bytes | None:
-    return file.read_bytes() if file.is_file() else None

@@ -115,7 +115,6 @@ def sweep() -> None:
 
     Only folders to which this user alone has access are opened: the place is shared, and others may put links and FIFOs there.
     """
-    _take_temporary()
     for folder in Path(tempfile.gettempdir()).glob(f"{PREFIX}*"):
         try:
             about = folder.lstat()
@@ -131,16 +130,6 @@ def sweep() -> None:
                     os.close(held)
         except OSError:  # in use, or gone meanwhile
             continue
-
-
-def _take_temporary() -> None:
-    """Take the folder for temporary files by its name: `tempfile` writes one to try it, which a kill would leave there."""
-    places = (*(os.environ.get(name) for name in ("TMPDIR", "TEMP", "TMP")), "/tmp")
-    usable = (
-        place for place in places if place and os.path.isdir(place) and os.access(place, os.W_OK | os.X_OK)
-    )
-    if tempfile.tempdir is None:
-        tempfile.tempdir = next(map(os.path.abspath, usable), None)
 
 
 def _execute(job: Job, folder: Path, on_cell: Callable[[], object], forks: bool) -> Outcome:

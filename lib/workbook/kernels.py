@@ -66,15 +66,9 @@ def warmed(wanted: bool) -> Iterator[bool]:
     if not wanted or sys.platform != "linux":
         yield False
         return
-    before = dict(os.environ)
     multiprocessing.get_context("forkserver").set_forkserver_preload(["workbook.warm"])
-    try:
-        os.environ.clear()
-        os.environ.update(kernel_environment(Path(tempfile.gettempdir()), Path(os.devnull)))
+    with paths.under(kernel_environment(Path(tempfile.gettempdir()), Path(os.devnull))):
         forkserver.ensure_running()  # it keeps this environment: libraries read theirs when they are loaded
-    finally:
-        os.environ.clear()
-        os.environ.update(before)
     yield True
 
 

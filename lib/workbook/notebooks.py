@@ -1,6 +1,5 @@
 """The workbook's notebooks, and which of them a command means."""
 
-import difflib
 import json
 import re
 from base64 import b64encode
@@ -14,8 +13,7 @@ from workbook.appendix import KIND as APPENDIX
 from workbook.checks import InputError, nearest
 from workbook.parameters import Parameter, read_parameters
 
-NEAREST = 3  # how many are suggested where none is near
-LISTED = 12  # parameters that are all named in a line
+LISTED = 12  # parameters that are named where none is near
 PICTURES = 3  # that a committed notebook shows
 # What is kept of an output; Markdown is a sentence of `Page.conclude`.
 TEXT = ("text/plain", "text/markdown", APPENDIX)
@@ -117,12 +115,6 @@ def _meant(name: str, names: list[str]) -> str:
     begun = [each for each in names if each.startswith(name)]  # a number without its words
     if len(begun) == 1:
         return f"; did you mean {begun[0]!r}?"
-    topic, slash, number = name.partition("/")
-    inside = [each.partition("/")[2] for each in names if each.startswith(f"{topic}/")]
-    if slash and inside:
-        close = difflib.get_close_matches
-        found = close(number, inside, 1, cutoff=0.5) or close(number, inside, NEAREST, cutoff=0)
-        return f"; did you mean {' or '.join(repr(f'{topic}/{each}') for each in found)}?"
     return nearest(name, [*names, *{each.partition("/")[0] for each in names}])
 
 
@@ -146,12 +138,7 @@ def assign(notebooks: list[Notebook], settings: dict[str, str]) -> list[tuple[No
             has = "has no" if len(notebooks) == 1 else "has a"
             hint = nearest(name, known)
             if known and not hint:
-                hint = f"; {'it has' if len(notebooks) == 1 else 'they have'} "
-                if len(known) <= LISTED:
-                    hint += ", ".join(known)
-                else:
-                    close = difflib.get_close_matches(name, known, NEAREST, cutoff=0)
-                    hint += f"{len(known)}, nearest are {', '.join(close)}"
+                hint = f"; {'it has' if len(notebooks) == 1 else 'they have'} {', '.join(known[:LISTED])}"
             raise InputError(f"{where} {has} parameter {name!r}{hint}")
     chosen = []
     for notebook in notebooks:

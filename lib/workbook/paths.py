@@ -2,7 +2,7 @@
 
 import math
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
@@ -35,17 +35,21 @@ def _around(folder: str) -> Path | None:
 
 
 @contextmanager
-def rooted(folder: Path) -> Iterator[None]:
-    """Let the root be another folder for a while."""
-    before = os.environ.get(ROOT_VARIABLE)
-    os.environ[ROOT_VARIABLE] = str(folder)
+def under(variables: Mapping[str, str]) -> Iterator[None]:
+    """Let these be all variables of the environment for a while."""
+    before = dict(os.environ)
+    os.environ.clear()
+    os.environ.update(variables)
     try:
         yield
     finally:
-        if before is None:
-            del os.environ[ROOT_VARIABLE]
-        else:
-            os.environ[ROOT_VARIABLE] = before
+        os.environ.clear()
+        os.environ.update(before)
+
+
+def rooted(folder: Path):
+    """Let the root be another folder for a while."""
+    return under({**os.environ, ROOT_VARIABLE: str(folder)})
 
 
 def topics() -> tuple[str, ...]:

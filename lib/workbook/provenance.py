@@ -20,11 +20,6 @@ def modified() -> set[str]:
     return {line[3:] for line in lines if line}
 
 
-def committed(path: str) -> str | None:
-    """Text of a file (relative to the checkout) as it is committed; None where it is not, or there is no git."""
-    return _git("show", f"HEAD:./{path}") or None
-
-
 def provenance(
     notebook: Notebook,
     settings: dict[str, object],

@@ -71,7 +71,7 @@ def read_record(target: Path) -> tuple[dict[str, str], list[str]] | None:
     OSError
         When the disk cannot be read.
     """
-    if (text := _content(target / RECORD)) is None:
+    if (text := content_of(target / RECORD)) is None:
         return None if _mode(target) is None else ({}, ["its record is missing"])
     if (record := _unsealed(text, "inputs", "outputs")) is None:
         return {}, ["its record is damaged"]
@@ -88,7 +88,7 @@ def read_record(target: Path) -> tuple[dict[str, str], list[str]] | None:
 
 def seconds_taken(target: Path) -> float | None:
     """How long it took to make the results in `target`; None where that is not known."""
-    record = _unsealed(_content(target / RECORD), "seconds")
+    record = _unsealed(content_of(target / RECORD), "seconds")
     return record and record["seconds"]
 
 
@@ -174,7 +174,7 @@ def replace_all(root: Path, changed: dict[str, tuple[bytes | None, bytes | None]
             with contextlib.suppress(FileNotFoundError):
                 shutil.copymode(root / name, beside)
         if others := [
-            each for each, (before, _) in sorted(changed.items()) if _content(root / each) != before
+            each for each, (before, _) in sorted(changed.items()) if content_of(root / each) != before
         ]:
             raise Edited(others)
     except BaseException:
@@ -213,7 +213,7 @@ def _raise(error: OSError) -> NoReturn:
     raise error
 
 
-def _content(file: Path) -> bytes | None:
+def content_of(file: Path) -> bytes | None:
     """None for no file, such as a link to nowhere. An error of the disk is none: it may be another the next time."""
     try:
         return file.read_bytes()
@@ -237,7 +237,7 @@ def _state(file: Path) -> str | None:
     """Digest of what stands there: None for nothing, empty for what is no file."""
     if _mode(file) is None:
         return None
-    return "" if (content := _content(file)) is None else digest(content)
+    return "" if (content := content_of(file)) is None else digest(content)
 
 
 def _write(file: Path, content: bytes) -> None:

@@ -120,12 +120,7 @@ def ledger_text(claims: list[Claim], width: int) -> str:
         Characters in a line.
     """
     rows = [("claim", "place", "published", "ours", "interval", "unit", "kind", "verdict")]
-    for claim in claims:
-        entry = claim.entry
-        ours = "" if claim.ours is None else claim.shown(4)
-        published = "" if entry.published is None else f"{entry.published:.4g}"
-        spread = "{:.3g} .. {:.3g}".format(*claim.interval) if claim.interval else ""
-        rows.append((entry.id, entry.place, published, ours, spread, entry.unit, entry.kind, claim.judgement))
+    rows += [(*claim.row(4), claim.entry.kind, claim.judgement) for claim in claims]
     reasons = [
         paragraph(f"{claim.entry.id}: {claim.entry.reason}", width)
         for claim in claims

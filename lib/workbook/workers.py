@@ -7,6 +7,7 @@ import threading
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing.connection import wait
 
+from workbook import paths
 from workbook.checks import InputError
 from workbook.pinned import environment
 
@@ -40,26 +41,19 @@ def processes(jobs: int):
 
     They end with this process, and at once when its context is left by an exception.
     """
-    before = dict(os.environ)
     others = set(multiprocessing.active_children())
     spawn = multiprocessing.get_context("spawn")
     # The processes, which start when they are needed, get it from here.
-    _become(environment())
-    try:
-        with ProcessPoolExecutor(jobs, mp_context=spawn, initializer=_end_with_parent) as pool:
-            try:
-                yield pool
-            except BaseException:
-                for process in set(multiprocessing.active_children()) - others:
-                    process.terminate()
-                raise
-    finally:
-        _become(before)
-
-
-def _become(environment: dict[str, str]) -> None:
-    os.environ.clear()
-    os.environ.update(environment)
+    with (
+        paths.under(environment()),
+        ProcessPoolExecutor(jobs, mp_context=spawn, initializer=_end_with_parent) as pool,
+    ):
+        try:
+            yield pool
+        except BaseException:
+            for process in set(multiprocessing.active_children()) - others:
+                process.terminate()
+            raise
 
 
 def _end_with_parent() -> None:

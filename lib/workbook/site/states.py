@@ -182,7 +182,11 @@ def packed(value: dict) -> str:
 
 def compute(name: str) -> dict:
     """What a page holds of a notebook's explorer: ``states``, their ``count`` and the ``start`` as PNG, or ``reason`` why it has none."""
-    with tempfile.TemporaryDirectory() as folder, _writing_to(folder), house_style():
+    with (
+        tempfile.TemporaryDirectory() as folder,  # for what a notebook's page would write
+        paths.under({**os.environ, paths.OUTPUT_VARIABLE: folder}),
+        house_style(),
+    ):
         # What a drawing function trips over is told on its page, and does not stop the site.
         try:
             explorer, known = read_explorer(read_notebook(name)), {}
@@ -200,18 +204,6 @@ def compute(name: str) -> dict:
         except Exception as error:
             reason = f"to compute its pictures failed: {type(error).__name__}: {error}"
     return {"reason": reason}
-
-
-@contextlib.contextmanager
-def _writing_to(folder: str):
-    """What a notebook's page would write goes nowhere."""
-    before = dict(os.environ)
-    os.environ[paths.OUTPUT_VARIABLE] = folder
-    try:
-        yield
-    finally:
-        os.environ.clear()
-        os.environ.update(before)
 
 
 def _file(name: str) -> Path:
