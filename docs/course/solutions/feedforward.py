@@ -5,13 +5,13 @@ code with it, and returns the check of the exercise. Its arguments are the numbe
 it gives the answer to a new one.
 """
 
+import control as ct
 import numpy as np
 from scipy import optimize, signal
 
 from experiments.isolation import load_twin
 from notebooks.isolation.floor_and_paths import suspension_modes
 from stillwork.estimation import AdaptationStepper, FeLms, FeRls, identify
-from stillwork.lti import StateModel
 from stillwork.signals import estimate_spectrum, load_record
 from workbook import paths
 
@@ -124,15 +124,9 @@ def exercise_5(louder: float = 16.0) -> str:
 def exercise_6(frequency_hz: float = 3.0, reduction_db: float = 20.0) -> str:
     """Weak integrators: what a reduction of 20 dB at 3 Hz asks of their cut-off."""
     target = 10 ** (-reduction_db / 20)
-    corner = 1.0  # rad/s; all that matters is the ratio
-    pole = np.array([[-corner, 0, 0], [corner, -corner, 0], [0, corner, -corner]])
-    low_pass = StateModel(pole, [[corner], [0], [0]], [[0, 0, 1.0]], [[0.0]])
-
-    def left(ratio: float) -> float:
-        value = low_pass.frequency_response([ratio])[0, 0, 0]
-        return float(abs(2 * value - value**2)) - target
-
-    ratio = optimize.brentq(left, 1, 10)
+    low_pass = ct.tf([1.0], [1.0, 1.0]) ** 3  # with its corner at 1 rad/s: all that matters is the ratio
+    remainder = 1 - (1 - low_pass) ** 2
+    ratio = optimize.brentq(lambda omega: abs(remainder(1j * omega)) - target, 1, 10)
     cutoff_hz = frequency_hz / ratio
 
     # By the powers themselves: 1 - (1 - L)^2 with L = 1 / (1 + j f / f_c)^3.

@@ -7,6 +7,7 @@ it gives the answer to a new one.
 
 from dataclasses import replace
 
+import control as ct
 import numpy as np
 from scipy import optimize
 
@@ -24,7 +25,7 @@ from stillwork.control.fixed_point_convergence import (
 from stillwork.control.transformation import contraction_range
 from stillwork.estimation import LowPass, filter_signal
 from stillwork.estimation.coordinate_filters import SavitzkyGolay
-from stillwork.lti import StateModel, h2_norm
+from stillwork.lti import h2_norm
 
 
 def exercise_1(bandwidth: float = 350.0) -> str:
@@ -151,10 +152,9 @@ def exercise_11(bandwidth: float = 350.0, factor: float = 2.0) -> str:
     """Half the bandwidth of the low pass, and how much less noise its acceleration has."""
 
     def noise(corner: float) -> float:
-        a = corner * np.array([[-1.0, 0, 0], [1, -1, 0], [0, 1, -1]])
-        # Position, velocity and acceleration of three lags; the last is k^2 (x1 - 2 x2 + x3).
-        read = corner**2 * np.array([[1.0, -2.0, 1.0]])
-        return h2_norm(StateModel(a, [[corner], [0], [0]], read, [[0.0]]))
+        return h2_norm(
+            ct.tf([corner**3, 0.0, 0.0], np.poly(3 * [-corner]))
+        )  # three lags, differentiated twice
 
     ratio = noise(bandwidth) / noise(bandwidth / factor)
     errors = 1e-5 * np.random.default_rng(11).standard_normal(400_000)

@@ -7,8 +7,9 @@ it gives the answer to a new one.
 
 from dataclasses import replace
 
+import control as ct
 import numpy as np
-from scipy import linalg, optimize, signal
+from scipy import linalg, optimize
 
 from stillwork.control import (
     Application,
@@ -238,10 +239,8 @@ def exercise_13(mass: float = 10.0, bandwidth_hz: float = 50.0) -> str:
     wrong = tracking_error(loop, move, replace(fitted, acceleration=0.99 * fitted.acceleration))
     largest = np.abs(wrong[move.scanning]).max()  # m, for one per cent
 
-    # The force that is missing, through 1 / (M s^2 + C), with polynomials.
-    numerator, denominator = signal.ss2tf(controller.a, controller.b, controller.c, controller.d)
-    whole = np.polyadd(mass * np.polymul([1, 0, 0], denominator), numerator[0])
-    system = signal.TransferFunction(denominator, whole)
-    _, error, _ = signal.lsim(system, 0.01 * mass * move.derivatives[2], move.time)
+    # The force that is missing, through 1 / (M s^2 + C), by python-control.
+    closed = ct.feedback(ct.ss(ct.tf([1.0], [mass, 0.0, 0.0])), controller.to_control())
+    error = ct.forced_response(closed, move.time, 0.01 * mass * move.derivatives[2]).outputs
     assert np.isclose(np.abs(error[move.scanning]).max(), largest, rtol=0.02)
     return f"{1e-9 / largest:.4f}"
