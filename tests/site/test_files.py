@@ -4,6 +4,7 @@ import html
 import io
 import json
 import re
+import zlib
 from collections import Counter
 from functools import cache
 from html.parser import HTMLParser
@@ -112,6 +113,41 @@ def test_every_notebook_number_and_module_is_there(files):
     rows = {each["id"] for each in elements(files["ledger.html"]).of("tr") if "id" in each}
     assert rows == {f"row-{claim.entry.id}" for claim in ledger()}
     assert "reference/stillwork.signals.spectra.html" in files
+
+
+ENTRY = re.compile(r"(.+?)\s+(\S+):(\S+)\s+(-?\d+)\s+?(\S*)\s+(.*)")  # as Sphinx reads a line of an inventory
+
+
+def test_the_inventory_leads_to_every_public_name(files):
+    """`objects.inv` read by the format's rules: four lines of head, then deflated lines."""
+    head, rest = files["objects.inv"].split(b"zlib.\n", 1)
+    first, project, version, last = head.decode().split("\n")
+    assert (
+        first == "# Sphinx inventory version 2"
+        and last == "# The remainder of this file is compressed using "
+    )
+    assert project == "# Project: stillwork" and re.fullmatch(r"# Version: [\d.]+", version)
+    lines = zlib.decompress(rest).decode().splitlines()
+    found = {}
+    for line in lines:
+        name, domain, role, priority, address, shown = ENTRY.fullmatch(line).groups()
+        assert (domain, shown) == ("py", "-") and priority in ("0", "1")
+        found[name] = role, address
+    assert len(found) == len(lines)
+    for _, address in found.values():
+        page, _, place = address.partition("#")
+        assert page in files
+        if place:
+            assert place in places_of(files[page])
+    assert found["stillwork.lti.state_space"][0] == "module"
+    assert found["stillwork.lti.state_space.StateModel"][0] == "class"
+    assert found["stillwork.lti.state_space.StateModel.frequency_response"][0] == "method"
+    assert found["stillwork.signals.spectra.estimate_spectrum"][0] == "function"
+
+
+@cache
+def places_of(page: bytes) -> set[str]:
+    return set(re.findall(r'\bid="([^"]+)"', page.decode()))
 
 
 def test_every_committed_figure_is_shown(files):

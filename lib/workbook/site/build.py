@@ -217,6 +217,7 @@ def _reference_pages(render, modules: list[reference.Module]) -> dict[str, bytes
     folders = reference.folders(modules)
     files = {
         "reference/index.html": render("reference.html", "../", folders=folders, doc=_doc),
+        "objects.inv": reference.inventory(modules, project()["name"], project()["version"]),
     }
     for module in modules:
         files[f"reference/{module.name}.html"] = render(

@@ -3,6 +3,7 @@
 import ast
 import inspect
 import re
+import zlib
 from dataclasses import dataclass
 from functools import cache
 from html import escape, unescape
@@ -160,6 +161,27 @@ def index(modules: list[Module]) -> dict[str, str]:
             places[f"{module.name}.{item.name}"] = place
             places.setdefault(f"{module.name.rpartition('.')[0]}.{item.name}", place)
     return places
+
+
+def inventory(modules: list[Module], project: str, version: str) -> bytes:
+    """``objects.inv``, by which other projects' documentation links to names of these pages (Sphinx inventory, version 2)."""
+    lines = []
+    for module in modules:
+        page = f"reference/{module.name}.html"
+        lines.append(f"{module.name} py:module 0 {page} -")
+        lines += [
+            f"{module.name}.{name} py:data 1 {page}#line-{line} -" for name, line in module.constants.items()
+        ]
+        waiting = list(module.items)
+        while waiting:
+            item = waiting.pop(0)
+            owned = "method" if "(" in item.signature else "attribute"
+            role = owned if "." in item.name else "class" if item.is_class else "function"
+            lines.append(f"{module.name}.{item.name} py:{role} 1 {page}#{item.name} -")
+            waiting += item.members
+    head = f"# Sphinx inventory version 2\n# Project: {project}\n# Version: {version}\n"
+    head += "# The remainder of this file is compressed using zlib.\n"
+    return head.encode() + zlib.compress("".join(f"{line}\n" for line in lines).encode(), 9)
 
 
 def _module(file: Path) -> Module:
