@@ -1,6 +1,5 @@
 import json
 import math
-from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -21,18 +20,12 @@ def entry(kind="value", published=2.0, **fields):
     return Entry(id="motion.gain", kind=kind, published=published, **fields)
 
 
-@given(values, values, levels)
-def test_relative_tolerance(published, ours, relative):
-    claim = Claim(entry(published=published, tolerance=Tolerance("x", relative=relative)), ours)
-    distance = abs(ours - published)
-    assume(abs(distance - relative * abs(published)) > 1e-9 * abs(published))  # the edge itself rounds
-    assert (claim.here == "inside") == (distance < relative * abs(published))
-
-
-@given(values, values, levels)
-def test_absolute_tolerance(published, ours, absolute):
-    claim = Claim(entry(published=published, tolerance=Tolerance("x", absolute=absolute)), ours)
-    assert claim.here == ("inside" if abs(ours - published) <= absolute else "outside")
+@given(values, values, levels, st.sampled_from(["relative", "absolute"]))
+def test_a_tolerance_is_a_distance(published, ours, size, rule):
+    claim = Claim(entry(published=published, tolerance=Tolerance("x", **{rule: size})), ours)
+    distance, allowed = abs(ours - published), size * (abs(published) if rule == "relative" else 1.0)
+    assume(abs(distance - allowed) > 1e-9 * abs(published))  # the edge itself rounds
+    assert claim.here == ("inside" if distance < allowed else "outside")
 
 
 @given(values, values, values, values)
@@ -51,17 +44,13 @@ def test_a_rule_of_an_interval_needs_one(asking):
         Claim(asking, 1.0).here  # noqa: B018
 
 
-@given(levels)
-def test_an_ordering_must_hold_in_every_run(fraction):
-    claim = Claim(entry("ordering", published=1.0), fraction)
-    assert claim.here == ("inside" if fraction == 1 else "outside")
-
-
 @given(levels, levels, levels, st.floats(0.01, 1))
 def test_a_threshold_is_held_against_the_lower_end_of_the_interval(fraction, one, other, threshold):
     low, high = sorted((one, other))
     claim = Claim(entry("ordering", published=1.0, threshold=threshold), fraction, (low, high))
     assert claim.here == ("inside" if low >= threshold else "outside")
+    claim = Claim(entry("ordering", published=1.0), fraction)  # without one it must hold in every run
+    assert claim.here == ("inside" if fraction == 1 else "outside")
 
 
 @given(st.floats(-5, 5), st.sampled_from(["larger", "smaller"]))
@@ -95,15 +84,10 @@ def test_what_the_work_does_not_state_is_no_replication():
     shown = entry("reported", published=None, reason="the work gives no number")
     assert Claim(shown, 3.0).verdict == "not judged"
     assert Claim(shown, 3.0).deviation is None
-    assert shown.is_own
+    assert shown.is_own and Claim(entry()).verdict == "not built"
     assert not entry("reported", reason="rig not described").is_own
     assert not entry(counterfactual=True).is_replication
     assert entry().is_replication
-
-
-@pytest.mark.parametrize("kind", ["value", "exact", "ordering", "slope"])
-def test_nothing_found_is_not_built(kind):
-    assert Claim(entry(kind)).verdict == "not built"
 
 
 @given(st.integers(1, 60), st.data(), st.booleans())
@@ -128,30 +112,6 @@ def test_the_verdict_is_that_of_the_share_of_combinations(tried, data, inside):
 
 
 @pytest.mark.parametrize(
-    ("agree", "tried", "word"),
-    [
-        (20, 20, "replicated"),
-        (19, 20, "replicated"),
-        (18, 19, "mostly replicated"),
-        (1, 2, "mostly replicated"),
-        (10, 21, "rarely replicated"),
-        (1, 20, "rarely replicated"),
-        (1, 21, "not replicated"),
-        (0, 20, "not replicated"),
-    ],
-)
-def test_the_edges_of_the_verdict_belong_to_the_better_word(agree, tried, word):
-    over = SimpleNamespace(share=agree / tried)
-    assert [Claim(entry(published=2.0), ours, over=over).verdict for ours in (2.0, 3.0)] == [word, word]
-
-
-def test_a_wide_rule_is_not_judged_over_combinations_but_where_it_excludes_the_value_under_nearly_all():
-    wide = entry(published=2.0, tolerance=Tolerance("x", absolute=1.1))
-    found = [Claim(wide, 2.5, over=SimpleNamespace(share=share)).verdict for share in (1.0, 0.05, 0.04)]
-    assert found == ["not judged", "not judged", "not replicated"]
-
-
-@pytest.mark.parametrize(
     ("rule", "interval", "ours", "verdict"),
     [
         ({"absolute": 1.1}, None, 2.5, "not judged"),
@@ -166,13 +126,10 @@ def test_what_is_wider_than_the_printed_value_cannot_replicate_it(rule, interval
     claim = Claim(entry(published=2.0, tolerance=Tolerance("x", **rule)), ours, interval)
     assert claim.verdict == verdict
     assert ("wider" in claim.unjudged) == (verdict == "not judged")
+    over = Claim(claim.entry, ours, interval, over=SimpleNamespace(share=0.04))  # excluded under nearly all
+    assert over.verdict == "not replicated"
     one_sided = entry(published=2.0, tolerance=Tolerance("x", **rule), better="larger")
     assert Claim(one_sided, ours, interval).verdict != "not judged"
-
-
-def test_better_is_a_remark_to_replicated():
-    claim = Claim(entry(published=2.0, better="larger"), 3.0)
-    assert (claim.verdict, claim.judgement) == ("replicated", "replicated (better, predicted)")
 
 
 def test_deviation_is_relative_and_has_no_meaning_at_zero():
@@ -186,13 +143,11 @@ def test_deviation_is_relative_and_has_no_meaning_at_zero():
     ("kind", "published", "tolerance", "ours", "text"),
     [
         ("exact", 0.0, Tolerance("rounding", absolute=1e-12), 6.6613381e-16, "< 1e-12"),
-        ("exact", 0.0, Tolerance("rounding", absolute=1e-12), 0.0, "< 1e-12"),
         ("exact", 0.0, Tolerance("rounding", absolute=1e-12), 2.3456e-5, "2.35e-05"),
         ("exact", 0.0, Tolerance("a count", absolute=0.0), 0.0, "0"),
         ("exact", 1.0, Tolerance("rounding", absolute=1e-12), 1.0, "1"),
         ("value", 0.0, Tolerance("half a digit", absolute=0.05), 0.012345, "0.0123"),
         ("check", None, Tolerance("rounding", absolute=1e-12), 6.6613381e-16, "< 1e-12"),
-        ("check", None, Tolerance("rounding", absolute=1e-12), 2.3456e-5, "2.35e-05"),
     ],
 )
 def test_of_an_identity_the_bound_is_shown_and_not_its_rounding(kind, published, tolerance, ours, text):
@@ -202,7 +157,6 @@ def test_of_an_identity_the_bound_is_shown_and_not_its_rounding(kind, published,
 @pytest.mark.parametrize(
     ("ours", "room", "text"),
     [
-        (0.21105, 0.005, "0.21"),  # ten samples of 1,900 may turn
         (0.21105, 0.01, "0.21"),
         (-37.26, 0.2, "-37"),
         (37.26, 1e-6, "37.3"),
@@ -221,16 +175,10 @@ def test_no_digit_is_shown_that_the_drift_lets_turn(ours, room, text):
         ({"kind": "value", "tolerance": None}, r"^motion\.gain\b.*tolerance"),
         ({"kind": "ordering", "tolerance": Tolerance("x", absolute=1)}, r"\btolerance\b"),
         ({"kind": "reported"}, r"\breason\b"),
-        ({"basis": "guessed"}, r"\bbasis\b"),
-        ({"place": ""}, r"\bplace\b"),
-        ({"quantity": ""}, r"\bquantity\b"),
         ({"published": math.nan}, r"\bpublished\b"),
         ({"published": None}, r"\bpublished\b"),
-        ({"expected": 2.0}, r"\bexpected\b"),
         ({"kind": "check", "expected": 2.0}, r"\bexpected\b"),
-        ({"threshold": 0.9}, r"\bthreshold\b"),
         ({"kind": "ordering", "threshold": 1.5}, r"\bthreshold\b"),
-        ({"better": "higher"}, r"\bbetter\b"),
         ({"kind": "ordering", "better": "larger"}, r"\bbetter\b"),
         ({"drift": Tolerance("x", interval=0.95)}, r"\bdrift\b"),
     ],
@@ -238,20 +186,6 @@ def test_no_digit_is_shown_that_the_drift_lets_turn(ours, room, text):
 def test_an_incomplete_entry_is_refused(fields, message):
     with pytest.raises(InputError, match=message):
         entry(**{"kind": "value", **fields})
-
-
-@pytest.mark.parametrize(
-    ("rules", "message"),
-    [
-        ({}, r"^tolerance\b.*relative, absolute and interval"),
-        ({"relative": 0.1, "absolute": 0.1}, r"^tolerance\b.*relative, absolute and interval"),
-        ({"relative": -0.1}, r"^tolerance\b.*-0\.1"),
-        ({"relative": 0.1, "source": ""}, r"^tolerance\b.*\bsource\b"),
-    ],
-)
-def test_a_tolerance_has_one_rule_and_a_source(rules, message):
-    with pytest.raises(InputError, match=message):
-        Tolerance(**{"source": "digits", **rules})
 
 
 LEDGER = """\
@@ -301,11 +235,7 @@ def test_reads_the_drift_of_an_entry(workbook):
     ("old", "new", "message"),
     [
         ("published = 37.0", "publishd = 37.0", r"^motion\.table-1\.pid\b.*'publishd'.*'published'"),
-        ("published = 37.0", "", r"^motion\.table-1\.pid\b.*published"),
-        ("published = 37.0", "published = 37.0\ncounterfactual = 1", r"\bcounterfactual\b"),
         ('source = "digits"', 'sauce = "digits"', r"^motion\.table-1\.pid\b.*'sauce'"),
-        ("tolerance", "drift = { absolut = 1 }\ntolerance", "'absolut'.*'absolute'"),
-        ("tolerance", "drift = { absolute = 1 }\ntolerance", r"^motion\.table-1\.pid\b.*source"),
         ("37.0", "'high'", r"(?s)^motion\.table-1\.pid\b.*published"),
         ("[motion.order]", "[motion.order", r"published\.toml\b"),
         ("[motion.table-1.pid]", "[motion]\nx = 1\n[motion.table-1.pid]", r"^motion\.x\b"),
@@ -323,12 +253,6 @@ def test_only_finite_values_are_claimed(workbook, interval):
     workbook()
     with pytest.raises(InputError, match=r"^motion\.order\b"):
         make_claim("motion.order", math.nan if interval is None else 1.0, interval)
-
-
-def test_an_interval_begins_with_its_lower_end(workbook):
-    workbook()
-    with pytest.raises(InputError, match=r"^motion\.order: interval\b"):
-        make_claim("motion.order", 1.0, (2.0, 1.0))
 
 
 def test_the_ledger_joins_entries_with_what_was_found(workbook):
@@ -349,12 +273,6 @@ def test_a_value_without_the_interval_that_its_entry_asks_for_is_not_built(workb
     assert (order.verdict, order.notebook, order.ours) == ("not built", "motion/01-x", None)
     workbook(text, **{"02-y": {"motion.table-1.pid": {"ours": 37.0}}})
     assert ledger()[0].verdict == "replicated"
-
-
-def test_half_written_results_do_not_count(workbook):
-    found = {"motion.order": {"ours": 1.0}}
-    workbook(**{"01-x": found, ".01-x.new": found})
-    assert [claim.verdict for claim in ledger()] == ["not built", "replicated"]
 
 
 def test_a_value_claimed_twice_or_unknown_is_refused(workbook):
@@ -382,14 +300,3 @@ def test_the_table_prints_verdicts_and_reasons_and_keeps_the_last_value(workbook
         "motion.table-1.pid": {"ours": 37.123457, "interval": [36.0, 38.0]},
         "motion.order": {"ours": 0.9},
     }
-
-
-def test_the_table_prints_a_reason_that_entries_share_once(workbook):
-    workbook()
-    table, one = ClaimsTable(), make_claim("motion.order", 0.9)
-    alike = [replace(one, entry=replace(one.entry, id=f"motion.order-{k}")) for k in range(5)]
-    for each in alike:
-        table.add(each)
-    assert repr(table).endswith("\n\nmotion.order-0 and 4 others: one run differs")
-    table.claims = alike[:2]
-    assert repr(table).endswith("\n\nmotion.order-0, motion.order-1: one run differs")

@@ -57,27 +57,6 @@ def test_biquads_filter_as_scipy_does(sections):
     assert simulate(model, INPUTS)[0] == pytest.approx(wanted, abs=1e-8 * np.abs(wanted).max())
 
 
-def test_a_biquad_of_first_order_has_one_state():
-    sections = np.array([[287.2, -287.0, 0.0, 1.0, -1.0, 0.0], [0.1, 0.0, -0.1, 1.0, -1.97, 0.972]])
-    model = from_biquads(sections, SAMPLE_TIME)
-    assert len(model.a) == 3
-    wanted = signal.sosfilt(sections, INPUTS[0])
-    assert simulate(model, INPUTS)[0] == pytest.approx(wanted, rel=1e-9, abs=1e-9 * np.abs(wanted).max())
-
-
-@pytest.mark.slow
-def test_libraries_answer_as_the_controller_does():
-    import control
-
-    linear = DigitalController(MODEL, ("e (m)",), ("f (N)",)).linear
-    wanted = simulate(MODEL, INPUTS)[0]
-    scale = np.abs(wanted).max()
-    assert control.forced_response(linear.to_control(), inputs=INPUTS).outputs == pytest.approx(
-        wanted, abs=1e-9 * scale
-    )
-    assert signal.dlsim(linear.to_scipy(), INPUTS[0])[1][:, 0] == pytest.approx(wanted, abs=1e-9 * scale)
-
-
 def test_an_observed_controller_is_the_block_diagram():
     """By substitution at one frequency: e = r - y + y_flex, v = C e + u_d, (u_d, y_flex) = O(f, y)."""
     rng = np.random.default_rng(0)

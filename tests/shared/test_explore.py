@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import RendererAgg
 from matplotlib.figure import Figure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from workbook import figures
 from workbook.checks import InputError
 from workbook.explorer import Choice, Slider, StaticPicture, build_line, explore
-from workbook.redraw import Redraw, RememberingRenderer
+from workbook.redraw import RememberingRenderer
 
 CONTROLS = {
     "gain": Slider(0.0, 10.0, 2.0, "V", basis="printed", place="Table 1"),
@@ -128,14 +127,6 @@ def test_the_start_is_one_of_the_slider_s_steps(slider):
     assert way / widget.step == pytest.approx(round(way / widget.step), abs=1e-9)
 
 
-def scaled(top, panels=1):
-    figure, axes = figures.new(1, panels, squeeze=False)
-    for axis in axes[0]:
-        axis.semilogx([1, 1000], [0, top])
-        axis.set(xlabel="frequency (Hz)", ylabel="magnitude (1)")
-    return figure
-
-
 def test_a_kept_figure_gives_the_pictures_of_one_made_anew():
     """Also with the lines of the start behind it, and where its explorer is made again."""
     kept = draw(gain=1.0, rate=1.0, order=1)
@@ -154,18 +145,6 @@ def test_a_kept_figure_gives_the_pictures_of_one_made_anew():
                 box.children[0].children[0].value = value
                 pictures.append(bytes(box.children[-1].value))
         assert pictures[:4] == pictures[4:]
-
-
-def test_the_panels_stay_where_the_first_picture_put_them(monkeypatch):
-    layouts = []
-    execute = ConstrainedLayoutEngine.execute
-    monkeypatch.setattr(
-        ConstrainedLayoutEngine, "execute", lambda self, fig: (layouts.append(fig), execute(self, fig))
-    )
-    redraw = Redraw(scaled)
-    first, second = redraw(top=10), redraw(top=10)
-    assert len(layouts) == 1
-    assert second == first
 
 
 def test_remembered_texts_are_what_matplotlib_draws():

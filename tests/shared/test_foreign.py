@@ -169,13 +169,6 @@ def test_a_transfer_function_becomes_a_minimal_model(seed, discrete):
         assert (f"{-extra:.6g}" in "".join(str(each.message) for each in said)) == (system is cancelled)
 
 
-def test_transfer_matrices_share_their_states():
-    lag, other = [1.0, 2.0], [1.0, 5.0]
-    system = ct.tf([[[1.0], [2.0]], [[3.0], [1.0, 0.0]]], [[lag, other], [lag, other]], inputs=["a", "b"])
-    model = lti.from_control(system)
-    assert len(model.a) == 2 and model.input_labels == ("a", "b") and agrees(model, system)
-
-
 def test_a_gain_has_any_sample_time():
     held = lti.zoh(ct.tf([1.0], [1.0, 2.0]), 0.1)
     for gain in (ct.tf([3.0], [1.0]), ct.ss([], [], [], 3.0)):
@@ -187,7 +180,6 @@ def test_a_gain_has_any_sample_time():
 
 REFUSED = {
     "unspecified; give 0": ct.ss(-1.0, 1.0, 1.0, 0.0, None),
-    "dt is unspecified": scipy_signal.dlti([1.0], [1.0, 0.5]),
     "improper": ct.tf([1.0, 0.0, 0.0], [1.0, 1.0]),
     "frequency response; fit": ct.frd([1.0, 2.0], [1.0, 2.0]),
     "tuple of 2": ([1.0], [1.0, 2.0]),

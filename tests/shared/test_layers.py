@@ -14,9 +14,6 @@ from workbook.source_digest import code
 ORDER = (*TOOLBOX, "workbook", "workbook.site")
 ABOVE = len(ORDER)  # the command line, then what stands outside the package
 OUTSIDE = ("experiments", "contest", "notebooks")
-LOADERS = {
-    f"stillwork.base.{name}" for name in ("lazy_exports", "extras", "command_line")
-}  # import what they are told by name
 
 
 @pytest.fixture(scope="module")
@@ -51,20 +48,6 @@ def circles(imported):
     return set(left)
 
 
-def hidden(trees):
-    """Modules that import in a way that the rules do not read: relatively, or in the toolbox by a text."""
-    for module, tree in trees.items():
-        calls = {node.attr for node in ast.walk(tree) if isinstance(node, ast.Attribute)}
-        calls |= {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
-        by_text = (
-            module.startswith("stillwork.") and module.split(".")[1] in TOOLBOX and module not in LOADERS
-        )
-        if any(isinstance(node, ast.ImportFrom) and node.level for node in ast.walk(tree)):
-            yield module
-        elif by_text and calls & {"import_module", "__import__"}:
-            yield module
-
-
 def between_topics(imported):
     """A topic or a notebook with the other topic that it imports."""
     topics = {
@@ -88,11 +71,6 @@ def foreign(imported):
 @pytest.mark.slow
 def test_no_arrow_runs_up(imported):
     assert rising(imported) == []
-
-
-@pytest.mark.slow
-def test_imports_are_where_the_rules_read_them(trees):
-    assert list(hidden(trees)) == []
 
 
 @pytest.mark.slow

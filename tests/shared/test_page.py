@@ -4,7 +4,7 @@ from types import ModuleType
 
 import pytest
 
-from workbook import figures, paths
+from workbook import figures
 from workbook.appendix import KIND, Appendix
 from workbook.checks import InputError
 from workbook.choices.notebook_study import run_notebook
@@ -144,15 +144,6 @@ def test_a_formula_that_cannot_be_set_is_named(workbook, wrong, layout):
     with pytest.raises(InputError, match=r"^figure\b") as told:
         Page("motion/01-x").save("fig-1", figure)
     assert wrong.splitlines()[-1].strip("$") in str(told.value)
-
-
-def test_the_root_is_the_checkout_or_what_the_variable_says(workbook, monkeypatch, tmp_path):
-    assert paths.root() == workbook
-    monkeypatch.setenv("STILLWORK_ROOT", str(tmp_path / "nowhere"))
-    with pytest.raises(FileNotFoundError, match="STILLWORK_ROOT"):
-        paths.root()
-    monkeypatch.delenv("STILLWORK_ROOT")
-    assert (paths.root() / "lib" / "stillwork").is_dir()
 
 
 @pytest.mark.parametrize("name", ["fixedpoint/02-small-noise", "fixedpoint/05-differentiation-noise"])

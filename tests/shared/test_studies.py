@@ -23,20 +23,10 @@ def assert_same(one, other):
         assert one[quantity].tobytes() == other[quantity].tobytes()
 
 
-@pytest.mark.parametrize("workers", [1, 3])
-@pytest.mark.parametrize("kind", [ThreadPoolExecutor, ProcessPoolExecutor])
+@pytest.mark.parametrize(("kind", "workers"), [(ThreadPoolExecutor, 3), (ProcessPoolExecutor, 2)])
 def test_the_result_depends_neither_on_the_executor_nor_on_its_workers(kind, workers):
     with kind(workers) as executor:
         assert_same(study(executor), study())
-
-
-@pytest.mark.slow
-def test_a_cluster_gives_the_numbers_of_a_serial_run():
-    from distributed import Client, LocalCluster
-
-    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
-        with Client(cluster) as client, client.get_executor() as executor:
-            assert_same(study(executor, mean=2.0), study(mean=2.0))
 
 
 def test_each_trial_has_the_stream_that_the_docstring_promises():
