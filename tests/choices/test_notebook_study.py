@@ -60,17 +60,6 @@ def test_a_parameter_that_it_does_not_have_is_named(workbook, tmp_path):
         run_notebook("motion/02-none", ENTRIES, {})
 
 
-def test_all_combinations_of_a_notebook_are_computed(workbook, tmp_path):
-    _, multiverses = workbook(A + B + STUDY)
-    write(tmp_path)
-    (found,) = run_combinations(
-        multiverses, lambda: ThreadPoolExecutor(1), Journal(tmp_path / "journal.jsonl")
-    )
-    sums = [a + 2 * b + a * b for a, b in found.design]
-    assert found.values["motion.table-1.sum"].ravel().tolist() == sums
-    assert not found.failures
-
-
 def test_seeds_are_a_parameter_where_an_axis_lists_them(workbook, tmp_path):
     seeds = axis("seed-of-toy", [4, 5], 4, kind="seed")
     _, multiverses = workbook(A + seeds + STUDY)

@@ -58,14 +58,10 @@ fast: bool = False  # or slow"""
     [
         ("a: int = 1\nseed = 1", "line 2: 'seed = 1'"),
         ("import numpy", "line 1: 'import numpy'"),
-        ("a: int = 1\n\nseed: int", "line 3: 'seed: int'"),
         ("seed: int = 1 +", r"line 1\b.*Python"),
         ("seed: int = 2 * 3", r"line 1\b.*2 \* 3"),
-        ("seed: int = get()", r"line 1\b.*get\(\)"),
         ("seed: Path = 'x'", r"line 1\b.*'x'"),
         ("seed: int = 1.0", r"line 1\b.*\bint\b"),
-        ("seed: int = True", r"line 1\b.*\bint\b"),
-        ("rate: float = '1'", r"line 1\b.*\bfloat\b"),
         ("bands: list[float] = [1, 'x']", r"list\[float\]"),
         ("pair: tuple[int, int] = (1, 2, 3)", r"tuple\[int, int\]"),
     ],
@@ -77,22 +73,8 @@ def test_a_malformed_line_is_named(workbook, source, message):
     assert "name: type = literal" in str(error.value)
 
 
-CODE = '{"cell_type": "code", "id": "a", "metadata": {}, "source": "1"}'
-
-
 @pytest.mark.parametrize(
-    "text",
-    [
-        "<html>",
-        "[]",
-        '{"cells": 1}',
-        '{"cells": [1]}',
-        *(
-            f'{{"cells": [{CODE.replace(*part)}]}}'
-            for part in [('"id": "a", ', ""), ('"metadata": {}, ', ""), ("{}", "1")]
-        ),
-        '{{"cells": [{}]}}'.format(CODE.replace('"1"', "1")),
-    ],
+    "text", ["<html>", '{"cells": 1}', '{"cells": [{"cell_type": "code", "source": "1"}]}']
 )
 def test_a_file_that_is_no_notebook(workbook, tmp_path, text):
     (tmp_path / "notebooks/motion/01-x.ipynb").write_text(text)
@@ -103,20 +85,14 @@ def test_a_file_that_is_no_notebook(workbook, tmp_path, text):
 @pytest.mark.parametrize(
     ("annotation", "text", "value"),
     [
-        ("int", "3", 3),
         ("float", "3", 3.0),
         ("float", "1e-3", 0.001),
-        ("str", "3", "3"),
         ("str", "['a', 1]", "['a', 1]"),
         ("str", "../my floor.csv", "../my floor.csv"),
         ("str | None", "none", None),
-        ("str | None", "flat", "flat"),
-        ("float | str", "flat", "flat"),
         ("float | str", "2", 2.0),
         ("bool", "true", True),
-        ("list[float]", "[1, 2.5]", [1.0, 2.5]),
         ("list[float]", "1,2.5", [1.0, 2.5]),
-        ("list[str]", "a,", ["a"]),
         ("list[str]", "a,none,2.5", ["a", "none", "2.5"]),
         ("list[str]", '["a, b", "\\"c"]', ["a, b", '"c']),
         ("tuple[int, ...]", "1,2,3", (1, 2, 3)),
@@ -133,9 +109,6 @@ def test_reads_what_a_shell_gives(annotation, text, value):
     ("annotation", "text"),
     [
         ("int", "3.0"),
-        ("int", "true"),
-        ("float", "none"),
-        ("bool", "1"),
         ("list[float]", "3"),
         ("tuple[int, int]", "1,2,3"),
         ("float", "__import__('os')"),

@@ -112,9 +112,7 @@ def link_to_nowhere(file: Path) -> None:
         (lambda folder: (folder / "a.csv").write_text(""), "output a.csv was changed by hand"),
         (lambda folder: (folder / "deep/x").write_text(""), "output deep/x is not the build's"),
         (lambda folder: (folder / RECORD).unlink(), "its record is missing"),
-        (lambda folder: (folder / RECORD).write_text("{}"), "its record is damaged"),
         (lambda folder: (folder / RECORD).write_text('{"seal": 1}'), "its record is damaged"),
-        (lambda folder: (folder / RECORD).write_text("[" * 100_000), "its record is damaged"),
         (lambda folder: link_to_nowhere(folder / "a.csv"), "output a.csv was changed by hand"),
     ],
 )

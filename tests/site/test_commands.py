@@ -1,6 +1,5 @@
 """The commands for one's own data and one's own result."""
 
-import json
 import os
 import shlex
 import subprocess
@@ -12,9 +11,7 @@ from stillwork.__main__ import main
 from stillwork.machine.inspect import inspect_file
 from workbook import paths
 from workbook.checks import InputError
-from workbook.claims import load_entries
 from workbook.notebooks import read_notebook
-from workbook.site.mathematics import markdown
 from workbook.site.scaffold import new_result
 
 SLAB = paths.data("isolation", "slab_footfall/slab_vertical.csv")
@@ -64,10 +61,6 @@ def hostile_names():
     names += [" a", "a,", "-3", "none"]
     names += ["['a']", "UNIT", "'a'", "0x10", "µ² (m)", "加速度", "\u202e", "\xa0"]
     names += ["a\nb", "a\ttab", "a\x1b[2Jb", "a\x07", "a\u2028b", "a\x85b", "a\nfor x: touch X"]
-    random = np.random.default_rng(11)
-    signs = [*"abAB01 \t\n'\"`$\\(){}[]<>|&;*?~!#%^=,.:+-_@éß加", "touch X"]
-    while len(names) < 60:
-        names.append("".join(random.choice(signs) for _ in range(random.integers(2, 9))))
     return names
 
 
@@ -210,24 +203,6 @@ def test_a_file_that_cannot_be_read_is_refused(tmp_path, capsys, name, content, 
         (tmp_path / name).write_text(content)
     assert main(["inspect", str(tmp_path / name)]) == 2
     assert message in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_a_new_result_has_a_notebook_a_module_a_test_and_an_entry(toy):
-    before = toy.files("data/isolation")["data/isolation/published.toml"]
-    written = new_result("isolation", "09-heavy-payload")
-    assert written == [
-        "notebooks/isolation/09-heavy-payload.ipynb",
-        "notebooks/isolation/heavy_payload.py",
-        "tests/isolation/test_heavy_payload.py",
-        "data/isolation/published.toml",
-    ]
-    assert toy.files("data/isolation")["data/isolation/published.toml"].startswith(before)
-    assert "isolation.heavy-payload.deviation" in load_entries("isolation")
-    assert read_notebook("isolation/09-heavy-payload").parameters["divisor"].value == "n - 1"
-    notebook = toy.root / "notebooks/isolation/09-heavy-payload.ipynb"
-    words = [cell for cell in json.loads(notebook.read_text())["cells"] if cell["cell_type"] == "markdown"]
-    assert any('<math display="block"' in markdown("".join(cell["source"])) for cell in words)
 
 
 def test_a_new_result_overwrites_nothing(toy):
