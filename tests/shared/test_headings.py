@@ -32,43 +32,30 @@ REFUSED = None
 DEFAULT = "default"  # no unit is stated: the documented one, which is reported
 HEADERS = {
     # Bode 100, Siglent, Keysight, PicoScope, FRA4PicoScope
-    "Frequency (Hz)": ("frequency", 1),
     "Trace 1: Gain: Magnitude (dB)": ("magnitude", ("dB", 1)),
     "Trace 2: Gain: Phase (°)": ("phase", DEGREE),
     "Trace 2: Gain: Phase (deg)": ("phase", DEGREE),
     "Trace 1: Gain: Real ": ("real", DEFAULT),
-    "Frequency(Hz)": ("frequency", 1),
-    "CH1 Amplitude(dB)": ("magnitude", ("dB", 1)),
-    "CH2 Phase(Deg)": ("phase", DEGREE),
     "Frequency Log(Hz)": ("", 1),
     "Frequency log(Hz)": ("", 1),
-    "Gain (dB)": ("magnitude", ("dB", 1)),
     "Gain dB": ("magnitude", ("dB", 1)),
     "Phase degrees": ("phase", DEGREE),
     "Log Mag(dB)": ("magnitude", ("dB", 1)),
     "Lin Mag": ("magnitude", DEFAULT),
-    "Log Mag": ("", DEFAULT),
     # LMS and Siemens Test.Lab, B&K, SR785, Polytec, National Instruments, Zurich Instruments
-    "Linear frequency [Hz]": ("frequency", 1),
     "Amplitude [(m/s^2)/N]": ("magnitude", 1),
-    "Phase [°]": ("phase", DEGREE),
     "FRF Magnitude [g/N]": ("magnitude", G),
     "Magnitude dB[m/s²/N]": ("magnitude", ("dB", 1)),
     "Magnitude [dB/1m (m/s²)/N]": REFUSED,
     "Coherence [-]": ("coherence", 1),
     "Coherence [%]": ("coherence", 0.01),
     "Mag (dBVpk)": REFUSED,
-    "Magnitude (mm/s/N)": ("magnitude", 1e-3),
     "Velocity [mm/s]": ("velocity", (1e-3, "m/s")),
     "Frequency - Plot 0": REFUSED,
-    "Time (s)": ("time", 1),
     "Amplitude - Voltage (dBV)": REFUSED,
     "chunk;timestamp (ticks)": REFUSED,
-    "frequency_Hz": ("frequency", 1),
     "r (V)": ("", (1, "V")),
     "f (mN)": ("", (1e-3, "N")),
-    "F (Hz)": ("frequency", 1),
-    "phase_rad": ("phase", 1),
     # MATLAB, python-control, SciPy, ObsPy
     "freq_rad_s": ("frequency", 1 / TURN),
     "freqHz": ("frequency", 1),
@@ -78,13 +65,7 @@ HEADERS = {
     "omega": ("frequency", 1 / TURN),
     "w": ("frequency", 1 / TURN),
     "frequency": ("frequency", DEFAULT),
-    "Frequency (rad/s)": ("frequency", 1 / TURN),
-    "Frequency rad/s": ("frequency", 1 / TURN),
     "Frequency [rad/sec]": ("frequency", 1 / TURN),
-    "mag_db": ("magnitude", ("dB", 1)),
-    "magnitude_dB": ("magnitude", ("dB", 1)),
-    "phase_deg": ("phase", DEGREE),
-    "time_msec": ("time", 1e-3),
     "time (msec)": ("time", 1e-3),
     "sampling_rate": ("rate", DEFAULT),
     "fs_kHz": ("rate", 1000),
@@ -100,21 +81,15 @@ HEADERS = {
     "Stiffness N / um": REFUSED,
     "Magnitude N/um": REFUSED,
     "Apparent mass magnitude": ("", DEFAULT),
-    "Magnitude [\u03bcm/N]": ("magnitude", 1e-6),
     "Magnitude [dB ref 1 um/V]": ("magnitude", ("dB", 1e-6)),
     # French, Dutch
     "Fr\u00e9quence [kHz]": ("frequency", 1000),
     "Pulsation": ("frequency", 1 / TURN),
     "\u03c9": ("frequency", 1 / TURN),
-    "Temps (ms)": ("time", 1e-3),
-    "Tijd [\u00b5s]": ("time", 1e-6),
     "freq in radians per second": ("frequency", 1 / TURN),
     "Magnitude (micrometers per volt)": ("magnitude", 1e-6),
     "Velocity (mm/s RMS)": REFUSED,
     # Excel in German
-    "Zeit in ms": ("time", 1e-3),
-    "Zeit [s]": ("time", 1),
-    "Frequenz in kHz": ("frequency", 1000),
     "Betrag in dB": ("magnitude", ("dB", 1)),
     "Phase in Grad": ("phase", DEGREE),
     "Kraft in N": ("force", (1, "N")),
@@ -122,18 +97,12 @@ HEADERS = {
     "Weg in µm": ("position", (1e-6, "m")),
     "Kreisfrequenz": ("frequency", 1 / TURN),
     # Whatever else a table has
-    "frequency_khz": ("frequency", 1000),
-    "Frequency / Hz": ("frequency", 1),
-    "Frequency, Hz": ("frequency", 1),
-    "frequency_mhz": REFUSED,
     "Frequency (MHz)": REFUSED,
     "Frequency (cycles/min)": REFUSED,
     "frequency_bins": ("", DEFAULT),
     "normalized frequency": ("", DEFAULT),
     "time (counts)": REFUSED,
     "time_ticks": REFUSED,
-    "TIME (MS)": REFUSED,
-    "t [µs]": ("time", 1e-6),
     "phase (gon)": REFUSED,
     "phase_turns": REFUSED,
     "Phase lag (deg)": ("", DEGREE),
@@ -143,9 +112,7 @@ HEADERS = {
     "coherence_percent": ("coherence", 0.01),
     "sensor #1 (m/s^2)": ("", (1, "m/s^2")),
     "accel_m_s2": ("acceleration", (1, "m/s^2")),
-    "force_n": ("force", (1, "N")),
     "torque_nm": REFUSED,
-    "torque (Nm)": ("force", (1, "N m")),
     "force_lbf": ("force", (LBF, "N")),
     # Abbreviations, plurals and dots
     "Acceleration (g's)": ("acceleration", (G, "m/s^2")),
@@ -154,8 +121,6 @@ HEADERS = {
     "Field (Gs)": REFUSED,
     "Acceleration (g pk)": REFUSED,
     "Time (Sec.)": ("time", 1),
-    "Time, ms.": ("time", 1e-3),
-    "Phase (Deg.)": ("phase", DEGREE),
     "Gain (dB.)": ("magnitude", ("dB", 1)),
     "Frequency (cycles/s)": ("frequency", 1),
     "Freq. [cycles/sec]": ("frequency", 1),
@@ -173,26 +138,21 @@ HEADERS = {
     "Group Delay (s)": ("", (1, "s")),
     # Inches, pounds, pressures, angles
     "Accel (in/s^2)": ("acceleration", (0.0254, "m/s^2")),
-    "Accel [in/sec²]": ("acceleration", (0.0254, "m/s^2")),
     "Accel (ft/s^2)": ("acceleration", (0.3048, "m/s^2")),
     "accel_in_s2": ("acceleration", (0.0254, "m/s^2")),
-    "Velocity (in/s)": ("velocity", (0.0254, "m/s")),
     "Velocity (ips)": ("velocity", (0.0254, "m/s")),
     "Vel. (in./s)": ("velocity", (0.0254, "m/s")),
     "Displacement (in)": ("position", (0.0254, "m")),
     "Displacement (mils)": ("position", (25.4e-6, "m")),
-    "Disp. (\u00b5in)": ("position", (25.4e-9, "m")),
     "pos_in": REFUSED,  # inches, or an input
     "time_in_s": ("time", 1),
     "pos_in_m": ("position", (1, "m")),
     "force_in_N": ("force", (1, "N")),
     "v_in": ("", DEFAULT),
-    "Force [lbs]": ("force", (LBF, "N")),
     "Hammer (lbf)": ("force", (LBF, "N")),
     "Force (kgf)": ("force", (G, "N")),
     "Force (dyn)": REFUSED,
     "Torque (in-lbf)": ("force", (0.0254 * LBF, "N m")),
-    "Torque (ft-lb)": ("force", (0.3048 * LBF, "N m")),
     "Torque (oz-in)": ("force", (0.0254 * LBF / 16, "N m")),
     "Magnitude (g/lbf)": ("magnitude", G / LBF),
     "Magnitude (in/s^2/lbf)": ("magnitude", 0.0254 / LBF),
@@ -208,7 +168,6 @@ HEADERS = {
     "EncPos (cnt)": ("", (1, "count")),
     # Signs, arguments, factors
     "-Phase (deg)": REFUSED,
-    "\u2212Phase [\u00b0]": REFUSED,
     "Phase (-deg)": REFUSED,
     "Negative phase [deg]": REFUSED,
     "-Im{H} (m/N)": REFUSED,
@@ -229,8 +188,6 @@ HEADERS = {
     "Channel 1 (N/um)": REFUSED,
     # Rates
     "sample_frequency": ("rate", DEFAULT),
-    "SamplingFrequency": ("rate", DEFAULT),
-    "Sampling Frequency [kHz]": ("rate", 1000),
     "sampling rate [kSa/s]": ("rate", 1000),
     "Sampling Interval (s)": ("", (1, "s")),
 }  # fmt: skip
@@ -253,19 +210,15 @@ def found_in(name):
     return quantity, (unit.factor, unit.si) if plain else unit.factor
 
 
+def near(value):
+    if isinstance(value, tuple):
+        return tuple(map(near, value))
+    return value if isinstance(value, str) or value is REFUSED else pytest.approx(value, rel=1e-12)
+
+
 @pytest.mark.parametrize("name", HEADERS)
 def test_a_header_of_the_trade_is_read_right_or_refused(name):
-    wanted, found = HEADERS[name], found_in(name)
-    if wanted is REFUSED:
-        assert found is REFUSED
-    else:
-        assert found is not REFUSED and found[0] == wanted[0]
-        flat = (
-            (found[1] if isinstance(found[1], tuple) else (found[1],)),
-            (wanted[1] if isinstance(wanted[1], tuple) else (wanted[1],)),
-        )
-        for one, other in zip(*flat, strict=True):
-            assert one == (pytest.approx(other, rel=1e-12) if not isinstance(other, str) else other)
+    assert found_in(name) == near(HEADERS[name])
 
 
 @pytest.mark.slow
@@ -386,12 +339,10 @@ def table(path, columns, separator=",", decimal=".", head=""):
 SIZE, ANGLE = np.abs(ACCELERANCE), np.angle(ACCELERANCE)
 FILES = {
     "names alone": {"freq_rad_s": TURN * HZ, "mag_db": 20 * np.log10(SIZE), "phase_rad": ANGLE},
-    "blanks": {"frequency rad/s": TURN * HZ, "Gain dB": 20 * np.log10(SIZE), "Phase deg": ANGLE / DEGREE},
     "kHz": {"frequency_khz": HZ / 1000, "magnitude_dB": 20 * np.log10(SIZE), "phase": ANGLE / DEGREE},
     "analyser": {
         "Frequency(Hz)": HZ, "CH1 Amplitude(dB)": 20 * np.log10(SIZE), "CH1 Phase(Deg)": ANGLE / DEGREE
     },
-    "python-control": {"omega": TURN * HZ, "real": ACCELERANCE.real, "imag": ACCELERANCE.imag},
     "compliance": {
         "f [Hz]": HZ, "mag [um/N]": 1e6 * SIZE / (TURN * HZ) ** 2, "phase [rad]": ANGLE + math.pi
     },
@@ -452,17 +403,6 @@ def test_a_coherence_is_at_most_one(tmp_path, name, factor, taken):
 
 
 @pytest.mark.parametrize(
-    ("name", "step"), [("time (msec)", 1e3), ("time_msec", 1e3), ("Zeit in ms", 1e3), ("t_us", 1e6)]
-)
-def test_a_record_at_20_khz_is_one_whatever_its_time_is_called(tmp_path, name, step):
-    t = np.arange(400) / 20e3
-    columns = {name: step * t, "sensor #1 (m/s^2)": np.sin(t), "sensor #2 (m/s^2)": np.cos(t)}
-    record = load_record(table(tmp_path / "a.csv", columns))
-    assert record.sample_rate == pytest.approx(20e3) and record.unit == "m/s^2"
-    assert record.names == ("sensor #1 (m/s^2)", "sensor #2 (m/s^2)")
-
-
-@pytest.mark.parametrize(
     "text",
     [
         "sep=;\nZeit in s;Weg in mm\n0;0\n0,5;1,5\n1;2\n",
@@ -472,6 +412,7 @@ def test_a_record_at_20_khz_is_one_whatever_its_time_is_called(tmp_path, name, s
         "# a note\nZeit in s,Weg in mm\n0,0\n# another\n0.5,1.5\n1,2\n",
         'Zeit (s),Weg (mm)\n"0","0"\n"0,5","1,5"\n"1","2"\n',
         "Zeit/s Weg/mm\n0 0\n0,5 1,5\n1 2\n",
+        "\ufeffZeit in s, Weg in mm\n0, 0,\n0.5, 1.5,\n1, 2,\n",
         # Notes above the names, and units below them
         "Model,MSO44\nRecord Length,3\nSample Interval,0.5\n\ntime (s),way (mm)\n0,0\n0.5,1.5\n1,2\n",
         "x-axis,1\nsecond,mm\n0,0\n0.5,1.5\n1,2\n",
@@ -507,7 +448,7 @@ def lvm(x_column, comma):
     return text.replace(".", ",") if comma else text
 
 
-@pytest.mark.parametrize(("x_column", "comma"), [(True, False), (True, True), (False, False), (False, True)])
+@pytest.mark.parametrize(("x_column", "comma"), [(True, True), (False, False)])
 def test_a_text_of_labview_has_its_time_and_units(tmp_path, x_column, comma):
     (tmp_path / "a.lvm").write_text(lvm(x_column, comma))
     record = load_record(tmp_path / "a.lvm", channels=["Plate (g)"])
@@ -584,25 +525,17 @@ def test_the_size_is_looked_at_before_reading(tmp_path):
         assert "\n" not in str(refusal.value) and len(str(refusal.value)) < 500
 
 
-def test_an_unknown_unit_is_refused_with_those_that_are_known():
-    for name, quantity, known in (
-        ("frequency (cpm)", "frequency", "Hz.*kHz.*rad/s|rad/s.*Hz"),
-        ("time_ticks", "time", r"\bms\b.*\bmin\b"),
-        ("phase (gon)", "phase", r"\bdeg\b"),
-        ("magnitude (furlong/N)", "magnitude", r"m/s\^2/N.*dB"),
-    ):
-        with pytest.raises(InputError, match=known):
-            column_unit(name, quantity)
-
-
 @pytest.mark.parametrize(
     "columns, told",
     [
         ({"time": np.arange(20000) / 1000}, ["'time' states no unit; taken as s"]),
-        ({"time (s)": np.arange(20000) / 1000}, []),
+        *(
+            ({name: np.arange(20000) / 1000 * step}, [])
+            for name, step in (("time_msec", 1e3), ("Zeit in s", 1))
+        ),
+        ({"t_us": np.arange(20000) * 1e3}, []),
         ({"fs": np.array(1000.0)}, ["'fs' states no unit; taken as Hz"]),
         ({"fs_kHz": np.array(1.0)}, []),
-        ({"sample_frequency": np.array(1000.0)}, ["'sample_frequency' states no unit; taken as Hz"]),
     ],
 )
 def test_a_record_tells_the_unit_that_its_time_was_taken_in(tmp_path, columns, told):

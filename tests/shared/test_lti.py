@@ -236,31 +236,59 @@ def test_a_rule_by_tustin_responds_at_a_frequency_as_it_did_at_the_prewarped_one
     np.testing.assert_allclose(lag.frequency_response(omega)[0, 0], 1 / (s[:, 0] - poles[-1]), rtol=1e-9)
 
 
-def heat_capacities(rng, leak):
+def heat_capacities(rng):
     """Four in a row, driven and measured at the far end: A is symmetric, its slowest pole nearly an integrator."""
     walls = 10 ** rng.uniform(-1, 1, 3)
     a = np.diag(walls, 1) + np.diag(walls, -1)
-    a -= np.diag(a.sum(axis=1) + np.array([leak, 0, 0, 0]))
-    return a, np.eye(4)[:, 3:], np.eye(4)[3:]
+    a -= np.diag(a.sum(axis=1) + np.array([10 ** rng.uniform(-13, -3), 0, 0, 0]))
+    return a, np.eye(4)[:, 3:], np.eye(4)[3:], 0.0
 
 
-def nearly_integrating(rng, leak):
-    shapes, rates = rng.normal(size=(3, 3)), -np.array([leak, *rng.uniform(0.3, 2, 2)])
-    return shapes @ np.diag(rates) @ np.linalg.inv(shapes), rng.normal(size=(3, 1)), rng.normal(size=(1, 3))
+def nearly_integrating(rng):
+    shapes, rates = rng.normal(size=(3, 3)), -np.array([10 ** rng.uniform(-13, -3), *rng.uniform(0.3, 2, 2)])
+    return (
+        shapes @ np.diag(rates) @ np.linalg.inv(shapes),
+        rng.normal(size=(3, 1)),
+        rng.normal(size=(1, 3)),
+        0.0,
+    )
 
 
-@pytest.mark.parametrize("make", [heat_capacities, nearly_integrating])
-@pytest.mark.parametrize("leak", [1e-3, 1e-7, 1e-11])
-def test_a_norm_beside_an_integrator_is_right_or_refused(make, leak):
-    rng, answered = np.random.default_rng(int(-np.log10(leak))), 0
-    for _ in range(6):
-        a, b, c = make(rng, leak)
-        model = lti.StateModel(a, b, c, np.zeros((1, 1)))
-        if model.is_stable:
-            with suppress(InputError):
-                assert lti.h2_norm(model) == pytest.approx(precise_h2_norm(model), rel=1e-6)
-                answered += 1
-    assert answered or leak < 1e-6
+def light_modes(rng):
+    """In both time domains, in skew states in units over 8 decades."""
+    modes = int(rng.integers(1, 4))
+    rates, ratios = 10 ** rng.uniform(0, 3, modes), 10 ** rng.uniform(-7, -1, modes)
+    blocks = [f * np.array([[-z, 1.0], [-1.0, -z]]) for f, z in zip(rates, ratios, strict=True)]
+    a, step = linalg.block_diag(*blocks), 0.0
+    if rng.integers(2):
+        step = 10 ** rng.uniform(-1, 1) / rates.max()
+        a = linalg.expm(a * step)
+    turn = rng.normal(size=a.shape) * 10 ** (rng.integers(2) * rng.uniform(-4, 4, len(a)))
+    inverse = np.linalg.inv(turn)
+    return (
+        turn @ a @ inverse,
+        turn @ rng.normal(size=(len(a), 1)),
+        rng.normal(size=(1, len(a))) @ inverse,
+        step,
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("make", "tries", "least"),
+    [(heat_capacities, 25, 8), (nearly_integrating, 25, 8), (light_modes, 200, 75)],
+)
+def test_a_two_norm_is_right_or_refused(make, tries, least):
+    """Against elimination in many digits."""
+    rng, answered = np.random.default_rng(7), 0
+    for _ in range(tries):
+        a, b, c, step = make(rng)
+        model = lti.StateModel(a, b, c, np.zeros((1, 1)), step)
+        with suppress(InputError):
+            norm = lti.h2_norm(model)
+            assert norm == pytest.approx(precise_h2_norm(model), rel=1e-5)
+            answered += 1
+    assert answered >= least
 
 
 def companion(poles, gain=1.0, sample_time=0.0):
@@ -344,7 +372,7 @@ def test_a_peak_is_found_at_any_frequency(omega):
 def test_a_peak_of_light_modes_in_a_random_basis_is_right_or_refused(seed, unit):
     """In a random basis the rounding of A moves poles that are as near to the axis as a millionth of their frequency."""
     rng, answered, wrong = np.random.default_rng(seed), 0, 0
-    for _ in range(8):
+    for _ in range(4):
         modes = int(rng.integers(2, 6))
         damping = 10 ** rng.uniform(-6, -2, modes)
         shapes = rng.normal(size=(modes, 1)), rng.normal(size=(1, modes))
@@ -359,7 +387,7 @@ def test_a_peak_of_light_modes_in_a_random_basis_is_right_or_refused(seed, unit)
             assert norm == pytest.approx(judged_norm(skew), rel=1e-4)  # of these very numbers
             answered += 1
             wrong += not norm == pytest.approx(unit * lti.hinf_norm(plain).magnitude, rel=1e-3)
-    assert answered >= 2 and not wrong
+    assert answered and not wrong
 
 
 @pytest.mark.slow
@@ -456,31 +484,3 @@ def test_a_delay_is_whole_samples_and_a_part(samples, wanted):
     assert split_delay(samples) == pytest.approx(wanted)
     with pytest.raises(InputError, match="samples"):
         split_delay(-0.1)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [7, 99])
-def test_a_squared_norm_of_light_modes_in_skew_states_is_right_or_refused(seed):
-    """In both time domains, states in units over 8 decades, against elimination in 150 digits."""
-    rng, answered = np.random.default_rng(seed), 0
-    for number in range(120):
-        modes = int(rng.integers(1, 4))
-        rates, ratios = 10 ** rng.uniform(0, 3, modes), 10 ** rng.uniform(-7, -1, modes)
-        blocks = [f * np.array([[-z, 1.0], [-1.0, -z]]) for f, z in zip(rates, ratios, strict=True)]
-        a, step = linalg.block_diag(*blocks), 0.0
-        if number % 2:
-            step = 10 ** rng.uniform(-1, 1) / rates.max()
-            a = linalg.expm(a * step)
-        turn = rng.normal(size=a.shape)
-        if number % 4 > 1:
-            turn = turn @ np.diag(10 ** rng.uniform(-4, 4, len(a)))
-        inverse = np.linalg.inv(turn)
-        b, c = turn @ rng.normal(size=(len(a), 1)), rng.normal(size=(1, len(a))) @ inverse
-        model = lti.StateModel(turn @ a @ inverse, b, c, np.zeros((1, 1)), step)
-        try:
-            norm = lti.h2_norm(model)
-        except InputError:
-            continue
-        answered += 1
-        assert norm == pytest.approx(precise_h2_norm(model), rel=1e-5)
-    assert answered > 45
