@@ -13,6 +13,7 @@ import pytest
 from PIL import Image
 
 from workbook import paths
+from workbook.choices.axes import load_axes
 from workbook.choices.command import judged_ledger
 from workbook.choices.settings import read_settings
 from workbook.claims import DISAGREEMENT, ledger
@@ -177,7 +178,7 @@ def test_a_topic_has_a_page_of_what_its_paper_must_have_used(files):
     text, joint = files["settings/motion.html"].decode(), read_settings("motion")
     assert f"{joint.agree} of {joint.numbers} printed numbers" in text.replace("\n", " ").replace("  ", " ")
     telling = {each.axis for each in joint.settings if each.supports or each.contradicts}
-    rows = re.findall(r'<tr><td title="[^"]*">(.*?)</td><td>(.*?)</td>', text)
+    rows = re.findall(r"<tr><td>([^ <]*)(?: <small>.*?</small>)?</td><td>(.*?)</td>", text)
     assert [axis for axis, _ in rows] == [each.axis for each in joint.settings if each.axis in telling]
     best = {
         axis: re.search("<strong>(.*?)</strong>", option)[1] for axis, option in rows if "<strong>" in option
@@ -186,6 +187,10 @@ def test_a_topic_has_a_page_of_what_its_paper_must_have_used(files):
     for each in joint.windows:
         for low, high in each.pieces:
             assert f"{low:g} to {high:g}" in text
+    axes, _ = load_axes("motion")
+    for axis in telling:
+        assert f"{axis} <small>{axes[axis].question}</small>" in html.unescape(text)
+    assert 'src="../figures/motion/09-bandwidth-table/limits.png"' in text
 
 
 def test_the_search_index_leads_to_places_that_are_there(files):

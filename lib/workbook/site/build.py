@@ -4,6 +4,7 @@ import base64
 import json
 import re
 from collections import Counter
+from collections.abc import Iterator
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -33,7 +34,7 @@ from workbook.site import picture, reference, search
 from workbook.site.links import broken_links
 from workbook.site.mathematics import markdown
 from workbook.site.metadata import about, address, binder, papers, project
-from workbook.site.pages import NotebookPage, read_page
+from workbook.site.pages import Figure, NotebookPage, read_page
 from workbook.site.settings import bars
 from workbook.site.specification import curves, said_of, sentence, status
 from workbook.site.states import kept_states, make_states, missing_states
@@ -274,12 +275,16 @@ def _topic(name: str, paper: dict, claims: list[Claim], pages: list[NotebookPage
         "headline": said_of(paper["headline"], mine),
         "found": said_of(paper["found"], mine),
         "rests": [entry for entry in paper["rests"] if any(claim.entry.id == entry for claim in mine)],
-        "hero": next(
-            (each for page in pages for each in page.figures if each.path == f"figures/{paper['hero']}"), None
-        ),
+        "hero": next(_named([paper["hero"]], pages), None),
+        "limits": list(_named(paper["limits"], pages)),
         "orderings": Counter(column(claim) for claim in mine if claim.entry.kind == "ordering"),
         "pages": [page for page in pages if page.topic == name],
     }
+
+
+def _named(names: list[str], pages: list[NotebookPage]) -> Iterator[Figure]:
+    """Pictures by ``<topic>/<notebook>/<figure>``."""
+    return (each for page in pages for each in page.figures if each.path.removeprefix("figures/") in names)
 
 
 def _listed(words: list[str]) -> str:

@@ -19,6 +19,7 @@ PAPER = {
     "by": "",
     "claimed": "",
     "hero": "",
+    "limits": [],
     "on": "",
     "moving": "",
     "found": [],
