@@ -142,8 +142,10 @@ def joint_settings(topic: str, windows: Iterable[Window]) -> Joint:
     entries = printed_entries(topic)
     claims = {each.entry.id: replace(each, entry=entries[each.entry.id]) for each in ledger(topic=topic)}
     options = {axis.name: list(axis.texts) for axis in axes.values() if axis.kind != "seed"}
-    for axis, values in _between(windows).items():
-        options[axis] += [text for text in map(option_text, values) if text not in options[axis]]
+    held = (pair for each in windows for pair in each.others)
+    between = ((axis, option_text(x)) for axis, values in _between(windows).items() for x in values)
+    for axis, text in (*held, *between):
+        options[axis] += [text] * (text not in options[axis])
     numbers = []
     for name, one in judge(read_results(multiverses), entries, axes, claims).items():
         if one.agree is None or not one.entry.is_replication:
@@ -181,11 +183,11 @@ def _short(low: float, high: float) -> float:
 def _with_windows(number: Number, windows: list[Window], options: dict[str, list[str]]) -> Number:
     """With the settings between the declared ones, of which its windows decide."""
     agrees = dict(number.agrees)
-    for setting in number.agrees:
-        chosen = dict(zip(number.axes, setting, strict=True))
-        for each in windows:
+    for each in windows:
+        place = number.axes.index(each.axis)
+        for setting in list(agrees):
+            chosen = dict(zip(number.axes, setting, strict=True))
             if all(chosen[axis] == option for axis, option in each.others):
-                place = number.axes.index(each.axis)
                 for text in options[each.axis]:
                     inside = any(low <= float(text) <= high for low, high in each.pieces)
                     agrees.setdefault((*setting[:place], text, *setting[place + 1 :]), inside)

@@ -4,6 +4,7 @@ import hashlib
 import json
 import math
 from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from concurrent.futures import as_completed
 from dataclasses import dataclass, replace
 from itertools import pairwise, product
@@ -17,6 +18,8 @@ from workbook.claims import Entry
 from workbook.progress import Progress
 
 GRID = 24  # values over the range, between which roots are searched
+FITS = 3  # of a study whose values join the options of its choices
+FAR = 1e6  # tolerances from the printed number, at most
 DIGITS = 5  # of a window's ends
 LOGARITHMIC = 50  # ratio of the ends of a range from which on it is divided by ratios
 
@@ -58,13 +61,14 @@ def windows_of(
     journal : Journal
         What it holds is not searched again.
     """
-    tasks = searches(multiverses, entries)
-    missing = [key for key in tasks if key not in journal.found]
-    with Progress(len(missing), task="settings", unit="window", tenths=True) as progress:
-        running = {pool.submit(search_window, *tasks[key]): key for key in missing}
-        for future in as_completed(running):
-            journal.add(running[future], future.result())
-            progress.step()
+    starts = _fits(multiverses, entries)
+    _run(fit, starts, pool, journal, "fit")
+    fitted = [
+        _with_options(each, [journal.found[k] for k in starts if starts[k][0] is each])
+        for each in multiverses
+    ]
+    tasks = searches(multiverses, entries) | searches(fitted, entries)
+    _run(search_window, tasks, pool, journal, "window")
     found = []
     for key, (multiverse, axis, point, _) in tasks.items():
         texts = {each.name: each.texts[k] for each, k in zip(multiverse.axes, point, strict=True)}
@@ -73,6 +77,40 @@ def windows_of(
             held = tuple((other, texts[other]) for other in others)
             found.append(Window(axis.name, name, held, tuple(map(tuple, pieces))))
     return _without_idle(list(dict.fromkeys(found)))
+
+
+def _run(function, tasks: Mapping[str, tuple], pool, journal: Journal, unit: str) -> None:
+    missing = [key for key in tasks if key not in journal.found]
+    with Progress(len(missing), task="settings", unit=unit, tenths=True) as progress:
+        running = {pool.submit(function, *tasks[key]): key for key in missing}
+        for future in as_completed(running):
+            journal.add(running[future], future.result())
+            progress.step()
+
+
+def _fits(multiverses: list[Multiverse], entries: dict[str, Entry]) -> dict[str, tuple]:
+    """Arguments of `fit` for the studies in which several choices have a range, by the key of what it finds."""
+    tasks = {}
+    for multiverse in multiverses:
+        judged = [entries[name] for name in multiverse.entries if entries[name].is_replication]
+        two_sided = (each for each in judged if each.kind == "value" and each.better is None)
+        mine = [each for each in two_sided if each.tolerance.interval is None]
+        several = mine and len(multiverse.windows) > 1
+        for point in _points(multiverse, "", multiverse.entries) if several else ():
+            facts = ["fit", study_digest(multiverse.function), multiverse.windows, repr(mine)]
+            facts += [multiverse.options(point), multiverse.seeds]
+            tasks[hashlib.sha256(json.dumps(facts).encode()).hexdigest()] = (multiverse, point, mine)
+    return tasks
+
+
+def _with_options(multiverse: Multiverse, fits: list) -> Multiverse:
+    """With the values of the fits by which most numbers agree among its options."""
+    best = sorted(fits, key=lambda found: -found["agree"])[:FITS]
+    axes = []
+    for axis in multiverse.axes:
+        more = [found["values"][axis.name] for found in best if axis.name in found["values"]]
+        axes.append(replace(axis, options=tuple(dict.fromkeys((*axis.options, *more)))))
+    return replace(multiverse, axes=tuple(axes))
 
 
 def searches(multiverses: list[Multiverse], entries: dict[str, Entry]) -> dict[str, tuple]:
@@ -84,7 +122,7 @@ def searches(multiverses: list[Multiverse], entries: dict[str, Entry]) -> dict[s
             judged = [entries[name] for name in touched if entries[name].kind != "reported"]
             mine = [entry for entry in judged if entry.is_replication]
             ends = multiverse.windows.get(axis.name)
-            for point in _points(multiverse, axis, touched) if ends and mine else ():
+            for point in _points(multiverse, axis.name, touched) if ends and mine else ():
                 facts = [study_digest(multiverse.function), ends, repr(mine)]
                 facts += [multiverse.options(point), axis.name, multiverse.seeds]
                 key = hashlib.sha256(json.dumps(facts).encode()).hexdigest()
@@ -92,10 +130,10 @@ def searches(multiverses: list[Multiverse], entries: dict[str, Entry]) -> dict[s
     return tasks
 
 
-def _points(multiverse: Multiverse, axis: Axis, touched: list[str]) -> list[tuple[int, ...]]:
+def _points(multiverse: Multiverse, name: str, touched: Sequence[str]) -> list[tuple[int, ...]]:
     """Settings of the other axes that touch these entries, the rest at the default; many of them as the study samples them."""
     open_ = [
-        a.name != axis.name and any(a.name in multiverse.touched[e] for e in touched) for a in multiverse.axes
+        a.name != name and any(a.name in multiverse.touched[e] for e in touched) for a in multiverse.axes
     ]
     default = multiverse.default_point
     places = [
@@ -125,12 +163,48 @@ def search_window(multiverse: Multiverse, axis: Axis, point: tuple[int, ...], en
         found = _outside(entry, values)[side] if values else math.nan
         return found if math.isfinite(found) else 1e9
 
-    low, high = multiverse.windows[axis.name]
-    spaced = np.geomspace if 0 < LOGARITHMIC * low < high else np.linspace
-    grid = spaced(low, high, GRID + 1).tolist()
+    grid = _grid(multiverse, axis)
     return {
         entry.id: _pieces(lambda side, x, entry=entry: outside(entry, side, x), grid) for entry in entries
     }
+
+
+def _grid(multiverse: Multiverse, axis: Axis) -> list[float]:
+    low, high = multiverse.windows[axis.name]
+    spaced = np.geomspace if 0 < LOGARITHMIC * low < high else np.linspace
+    return spaced(low, high, GRID + 1).tolist()
+
+
+def fit(multiverse: Multiverse, point: tuple[int, ...], entries: list[Entry]) -> dict:
+    """Least squares from `point` over all choices with a range: how many numbers agree, and the choices' values by name.
+
+    A number's distance is in tolerances; a far one counts little.
+    """
+    from scipy.optimize import least_squares
+
+    calls = calls_at(multiverse, [point]).values()
+    axes = [axis for axis in multiverse.axes if axis.name in multiverse.windows]
+    grids, shares = [_grid(multiverse, axis) for axis in axes], np.linspace(0, 1, GRID + 1)
+
+    def at(x: np.ndarray) -> list[float]:
+        return [float(np.interp(share, shares, grid)) for share, grid in zip(x, grids, strict=True)]
+
+    def distances(x: np.ndarray) -> np.ndarray:
+        moved = {axis.keyword: value for axis, value in zip(axes, at(x), strict=True)}
+        found = [compute(replace(call, options=call.options | moved)) for call in calls]
+        given = [each for each in found if not isinstance(each, str)]
+        if not given:
+            return np.full(len(entries), FAR)
+        sides = np.array([_outside(entry, [each[entry.id] for each in given]) for entry in entries])
+        off = (sides[:, 0] - sides[:, 1]) / 2 / [entry.tolerance.width(entry.published) for entry in entries]
+        return np.clip(np.nan_to_num(off, nan=FAR), -FAR, FAR)
+
+    options = multiverse.options(point)
+    start = [np.interp(options[axis.keyword], grid, shares) for axis, grid in zip(axes, grids, strict=True)]
+    start = np.clip(start, 1e-3, 1 - 1e-3)  # inside its bounds
+    found = least_squares(distances, start, bounds=(0, 1), loss="soft_l1", diff_step=1e-4)
+    named = {axis.name: float(f"{x:.{DIGITS}g}") for axis, x in zip(axes, at(found.x), strict=True)}
+    return {"agree": int(np.sum(np.abs(found.fun) <= 1)), "values": named}
 
 
 def _pieces(outside, grid: list[float]) -> list[tuple[float, float]]:
