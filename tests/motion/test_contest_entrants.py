@@ -57,13 +57,10 @@ def test_a_foreign_kalman_filter_gets_what_ours_gets(written):
 
 BROKEN = {
     "raises": ("1 / 0", r"raises ZeroDivisionError: division by zero \(line 9\)"),
-    "ends": ("sys.exit()", "raises SystemExit"),
     "ends its process": ("os._exit(1)", "its process ended"),
     "hangs": ("time.sleep(60)", "takes more than 3 s a scan"),
     "returns nothing": ("return", "must return 4 finite numbers"),
-    "returns too few": ("return [0.0]", "must return 4 finite numbers"),
     "returns no number": ("return [float('nan')] * 4", "must return 4 finite numbers"),
-    "returns words": ("return list('abcd')", "raises ValueError"),
 }
 
 

@@ -12,15 +12,12 @@ from contest.record import (
     RUNNING,
     TASKS,
     errors_of,
-    estimate,
-    file_rows,
     fitted,
     linear_estimate,
     record_standings,
     record_table,
     run_of,
 )
-from contest.runner import knobs_of
 
 
 @pytest.mark.parametrize("task", TASKS)
@@ -70,23 +67,3 @@ def test_the_committed_table_is_of_this_code_and_whole():
     assert len(both) == len(fresh)
     assert both["error_x"].to_numpy() == pytest.approx(both["error_y"].to_numpy(), abs=2e-4)
     assert record_standings(fresh)["observer"].tolist()[:2] == [LINEAR[1], LINEAR[0]]
-
-
-@pytest.mark.slow
-def test_a_file_runs_on_the_record_as_ours_does(tmp_path):
-    file = tmp_path / "mine.py"
-    file.write_text(
-        "KNOBS = [('factor', 0.5, 2.0, 1.0)]\n"
-        "class Observer:\n"
-        "    def start(self, model, noise, sample_time, factor):\n"
-        "        self.a, self.b, self.x = model.a, model.b, 0 * model.a[0]\n"
-        "    def step(self, input, measurement):\n"
-        "        self.x = self.a @ self.x + self.b @ input\n"
-        "        return self.x\n"
-    )
-    knobs = knobs_of(str(file))
-    rows = {row[:4]: row[5] for row in file_rows("mine", str(file), knobs, tuned=False)}
-    given, run = fitted("both sensors", 2), run_of("both sensors", 0)
-    ours = errors_of(run, estimate("open model", None, (), given, run))
-    assert len(rows) == 24
-    assert rows["both sensors", "ringing", 2, 0] == pytest.approx(ours["ringing"], rel=1e-9)

@@ -33,7 +33,7 @@ def error_at(model, sample_time, gain, errors, gains, z):
     return x_of_u - np.linalg.solve(observer, keeps @ model.b + z * gain @ model.c @ x_of_u)
 
 
-@pytest.mark.parametrize(("name", "size"), [("two masses", 0.03), ("gantry", 0.02), ("drive", 0.1)])
+@pytest.mark.parametrize(("name", "size"), [("two masses", 0.03), ("gantry", 0.02)])
 def test_no_error_within_the_size_is_above_the_bound(name, size):
     model, noise, sample_time = given_of(name)
     worst = WorstCase(model, noise, sample_time, size, 100.0, peak=True)
@@ -52,7 +52,7 @@ def test_no_error_within_the_size_is_above_the_bound(name, size):
     assert 0.3 * worst.bound(gain) < largest < worst.bound(gain)
 
 
-@pytest.mark.parametrize("name", ["stage", "plate", "hard disk"])
+@pytest.mark.parametrize("name", ["stage", "plate"])
 def test_the_quick_gain_is_the_librarys(name):
     model, noise, sample_time = given_of(name)
     worst = WorstCase(model, noise, sample_time, 0.03, 100.0, peak=False)

@@ -5,24 +5,13 @@ from experiments.motion.machines import stage
 from experiments.motion.scan_study import published_scan
 from experiments.motion.uncertainty import norm_bound, perturbed, sample_errors, sampled_derivatives
 from naive import motion_filters as naive
-from notebooks.motion.robust_comparison import filter_model, judge, output_errors, record_scans
-from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
-from stillwork.estimation.time_varying import TimeVaryingModel, estimate
+from notebooks.motion.robust_comparison import filter_model, record_scans
 from stillwork.lti.discretisation import zoh_modes
 
 
 @pytest.fixture(scope="module")
 def scan():
     return published_scan()
-
-
-def small_model(seed=0, samples=30):
-    rng = np.random.default_rng(seed)
-    a = 0.6 * rng.normal(size=(3, 3)) / np.sqrt(3)
-    b, g = rng.normal(size=(3, 1)), rng.normal(size=(3, 2))
-    c = rng.normal(size=(samples, 2, 3))
-    model = TimeVaryingModel(a, b, g, c, np.diag([1.0, 2.0]), np.diag([0.5, 0.3]), np.eye(3))
-    return model, rng.normal(size=(1, samples)), rng.normal(size=(2, samples))
 
 
 @pytest.mark.parametrize("parameter", range(4))
@@ -78,21 +67,6 @@ def test_perturbed_modes_stay_sorted_and_keep_their_response():
     np.testing.assert_allclose(moved.frequency_response(omega), direct, rtol=1e-10)
 
 
-def test_errors_have_the_law_that_was_asked_for():
-    rng, plant = np.random.default_rng(0), stage()
-    ends = sample_errors(rng, plant, 0.05)
-    assert np.all(ends[0] == 0)
-    assert np.all(np.abs(ends[1:]) == 0.05)
-    uniform = sample_errors(rng, plant, 0.05, "uniform", rigid=True)
-    assert np.all(np.abs(uniform) <= 0.05)
-    assert np.all(uniform[0] != 0)
-    common = sample_errors(rng, plant, 0.05, "common", rigid=True)
-    assert np.all(common == common[0])
-    assert np.all(np.abs(common) == 0.05)
-    many = np.array([sample_errors(rng, plant, 0.05, "normal", rigid=True) for _ in range(400)])
-    assert abs(many.std() - 0.05) < 4 * 0.05 / np.sqrt(2 * many.size)
-
-
 def test_recorded_scan_is_its_naive_twin(scan):
     errors = [sample_errors(np.random.default_rng(k), scan.nominal, 0.05, rigid=True) for k in range(2)]
     records = record_scans(scan, errors, np.random.default_rng(7))
@@ -105,46 +79,3 @@ def test_recorded_scan_is_its_naive_twin(scan):
         states, u, y = naive.scan(plant.a, plant.b, shapes, reference, forward, scan.controller, noise[run])
         for ours, twin in ((records.states[run], states), (records.u[run, 0], u), (records.y[run, 0], y)):
             np.testing.assert_allclose(ours, twin, rtol=1e-7, atol=1e-9 * np.abs(twin).max())
-
-
-def test_hinfinity_filter_is_its_naive_twin():
-    model, u, y = small_model()
-    wanted = np.array([[1.0, 0.5, 0.0], [0.0, 0.0, 2.0]])
-    level = 1.3 * smallest_level(model, wanted)
-    ours = estimate(hinfinity_gains(model, wanted, level), u, y)
-    matrices = (model.a[0], model.b[0], model.g[0], model.c, model.process, model.sensor)
-    twin = naive.hinfinity(*matrices, wanted, level, model.initial_covariance, u, y)
-    np.testing.assert_allclose(ours, twin, rtol=1e-8, atol=1e-9)
-
-
-def test_the_pseudo_inverse_is_the_shortest_error_that_explains_the_output(scan):
-    errors = [sample_errors(np.random.default_rng(k), scan.nominal, 0.05, rigid=True) for k in range(2)]
-    records = record_scans(scan, errors, np.random.default_rng(3))
-    window = np.flatnonzero(scan.setpoint.scanning)
-    told = records.states.copy()
-    shortest = np.zeros((2, 3, len(window)))
-    for run in range(2):
-        for k, sample in enumerate(window):
-            row = scan.shapes[sample]
-            away = records.y[run, 0, sample] - row @ records.states[run, ::2, sample]
-            shortest[run, :, k] = np.linalg.lstsq(row[None], [away], rcond=None)[0]
-            told[run, ::2, sample] += shortest[run, :, k]
-    found = output_errors(scan, errors, records, told)
-    np.testing.assert_allclose(found.innovation, 0, atol=1e-15)
-    np.testing.assert_allclose(found.by_pseudo_inverse, np.sqrt(np.mean(shortest**2, axis=2)), rtol=1e-9)
-    np.testing.assert_allclose(found.position_errors, found.by_pseudo_inverse, rtol=1e-9)
-    exact = output_errors(scan, np.zeros((2, 3, 4)), records, records.states)
-    np.testing.assert_allclose(exact.innovation, exact.noise, rtol=1e-12)
-    np.testing.assert_allclose(exact.deformation_error, 0, atol=1e-20)
-
-
-def test_errors_are_counted_in_the_scanning_phase(scan):
-    records = record_scans(scan, [np.zeros((3, 4))], np.random.default_rng(0))
-    window = scan.setpoint.scanning
-    ramp = np.zeros_like(records.states)
-    ramp[:, :, window] = np.linspace(1.0, 3.0, window.sum())
-    found = judge(scan, records, records.states - ramp)
-    np.testing.assert_allclose(found.bias, 2.0)
-    np.testing.assert_allclose(found.drift, 2.0, rtol=1e-9)
-    np.testing.assert_allclose(found.end, 3.0)
-    np.testing.assert_allclose(found.accelerating, 0.0)

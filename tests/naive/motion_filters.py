@@ -1,21 +1,6 @@
-"""Slow, obvious twins of the other filters in the robust comparison, and of its simulation."""
+"""A slow, obvious twin of the simulation in the robust comparison."""
 
 import numpy as np
-
-
-def hinfinity(a, b, g, c, q, r, wanted, level, p, u, y):
-    """A-posteriori H-infinity filter with inverse covariances, as in the literature."""
-    n, samples = a.shape[0], len(c)
-    x, states = np.zeros(n), np.zeros((n, samples))
-    for k in range(1, samples):
-        x = a @ x + b @ u[:, k - 1]
-        inflated = np.linalg.inv(np.linalg.inv(p) - wanted.T @ wanted / level**2)
-        assert np.linalg.eigvalsh(inflated)[0] > 0
-        predicted = a @ inflated @ a.T + g @ q @ g.T
-        p = np.linalg.inv(np.linalg.inv(predicted) + c[k].T @ np.linalg.inv(r) @ c[k])
-        x = x + p @ c[k].T @ np.linalg.inv(r) @ (y[:, k] - c[k] @ x)
-        states[:, k] = x
-    return states
 
 
 def scan(a, b, shapes, reference, forward, control, noise):

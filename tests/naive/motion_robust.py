@@ -3,24 +3,7 @@
 import numpy as np
 from scipy import optimize
 
-
-def penalised_step(a, b, g, c, s, t, m, weight, q, r_hat, p, x, u, y):
-    """Minimise the quadratic cost over (x, w) as one stacked least-squares problem; step on with the model."""
-    n, nw = a.shape[0], g.shape[1]
-
-    def root(inverse_of):
-        return np.linalg.inv(np.linalg.cholesky(inverse_of))
-
-    rows = [
-        (np.hstack([root(p), np.zeros((n, nw))]), root(p) @ x),
-        (np.hstack([np.zeros((nw, n)), root(q)]), np.zeros(nw)),
-        (np.sqrt(weight) * np.hstack([s, t]), -np.sqrt(weight) * m @ u),
-        (root(r_hat) @ c @ np.hstack([a, g]), root(r_hat) @ (y - c @ b @ u)),
-    ]
-    best = np.linalg.lstsq(np.vstack([f for f, _ in rows]), np.concatenate([d for _, d in rows]), rcond=None)[
-        0
-    ]
-    return a @ best[:n] + b @ u + g @ best[n:]
+from naive.fixedpoint import kalman_step
 
 
 def sensitivity_cost(best, model_at, epsilons, gamma, q, r, p, x, u, y, step=1e-5):
@@ -107,15 +90,10 @@ def printed_step(a, b, g, c, s, t, m, weight, q, r_hat, p, x, u, y):
 
 
 def kalman(a, b, g, c, q, r, p, u, y):
-    """Textbook time-varying Kalman filter in filter form; Joseph's form of the covariance."""
-    samples, n = len(c), a.shape[0]
-    x, states = np.zeros(n), np.zeros((n, samples))
-    for k in range(1, samples):
-        x = a @ x + b @ u[:, k - 1]
-        p = a @ p @ a.T + g @ q @ g.T
-        gain = np.linalg.solve(c[k] @ p @ c[k].T + r, c[k] @ p).T
-        x = x + gain @ (y[:, k] - c[k] @ x)
-        rest = np.eye(n) - gain @ c[k]
-        p = rest @ p @ rest.T + gain @ r @ gain.T
+    """Textbook time-varying Kalman filter in filter form."""
+    x, states = np.zeros(len(a)), np.zeros((len(a), len(c)))
+    for k in range(1, len(c)):
+        ahead = a @ x + b @ u[:, k - 1]
+        x, p = kalman_step(x, p, y[:, k], ahead, a, c[k], c[k] @ ahead, g @ q @ g.T, r)
         states[:, k] = x
     return states
