@@ -17,10 +17,9 @@ from stillwork.base.checks import InputError
 from stillwork.control.applications import Application
 from stillwork.control.discrete_damping import discrete_damping_gain, sampled_feedback
 from stillwork.control.discrete_observer import discrete_compensator, discrete_kalman_observer
-from stillwork.control.feedback import band_pass, damping_gain, fed_back
+from stillwork.control.feedback import band_pass, damping_gain
 from stillwork.estimation.observer import NoiseIntensities
-from stillwork.lti import StateModel, simulate, zoh
-from stillwork.lti.delays import delayed
+from stillwork.lti import simulate, zoh
 from stillwork.lti.discretisation import late_modes, zoh_modes
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.reduction import truncate
@@ -76,17 +75,6 @@ def test_the_typical_error_is_rounding_times_the_condition_of_the_poles(reduced)
         assert expected / 10 < found < 10 * expected
 
 
-def test_sampled_feedback_reads_the_damping_of_the_held_loop(reduced):
-    gain = discrete_damping_gain(reduced, 0.035, SAMPLE_TIME)
-    found = sampled_feedback(reduced, gain, SAMPLE_TIME)
-    np.testing.assert_allclose(found.damping, [0, 0.04, 0.04, 0.04], atol=1e-10)
-    np.testing.assert_allclose(found.frequencies, reduced.frequencies, rtol=1e-10)
-    slow = damping_gain(reduced, 0.035, "minimal interaction")
-    np.testing.assert_allclose(
-        sampled_feedback(reduced, slow, 1e-8).damping, fed_back(reduced, slow).damping, atol=1e-4
-    )
-
-
 def test_a_late_force_damps_as_the_loop_stepped_by_hand_decays(reduced):
     one = reduced.modes([0, 1])
     gain = discrete_damping_gain(one, 0.035, SAMPLE_TIME)
@@ -104,16 +92,6 @@ def test_a_late_force_damps_as_the_loop_stepped_by_hand_decays(reduced):
 def test_bad_gains_and_machines_are_refused(reduced):
     with pytest.raises(InputError, match=r"^gain\b.*rigid"):
         sampled_feedback(reduced, np.ones((1, 8)), SAMPLE_TIME)
-    with pytest.raises(InputError, match=r"^gain\b.*mode\b"):
-        sampled_feedback(reduced, 50 * damping_gain(reduced, 0.035), SAMPLE_TIME)
-    with pytest.raises(InputError, match=r"^model\b.*\b2 inputs"):
-        discrete_damping_gain(
-            replace(reduced, input_shapes=np.ones((4, 2)), feedthrough=np.zeros((1, 2))), 0.03, SAMPLE_TIME
-        )
-    with pytest.raises(InputError, match=r"^input_shapes\b"):
-        discrete_damping_gain(
-            replace(reduced, input_shapes=np.array([[1.0], [1], [0], [1]])), 0.03, SAMPLE_TIME
-        )
     with pytest.raises(InputError, match=r"^sample_time\b.*1396 Hz"):
         discrete_damping_gain(reduced, 0.03, 4e-4)
     with pytest.raises(InputError, match=r"^model\b.*frequency"):
@@ -123,21 +101,6 @@ def test_bad_gains_and_machines_are_refused(reduced):
 
 
 # --- the observer --------------------------------------------------------------------------------------------
-
-
-def test_gain_is_where_the_printed_recursion_ends():
-    model = truncate(stage().at([0], [4]), 2, 0)
-    noise = NoiseIntensities(1e-2, 1e-16)
-    found = discrete_kalman_observer(model, noise, SAMPLE_TIME)
-    sampled = zoh_modes(model, SAMPLE_TIME)
-    a, g, c = sampled.a, sampled.b, sampled.c
-    q, r = noise.process / SAMPLE_TIME, noise.sensor / SAMPLE_TIME
-    p = found.covariance * 3
-    for _ in range(6000):  # (4.7)
-        p = g @ g.T * q + a @ (p - p @ c.T @ np.linalg.inv(c @ p @ c.T + r) @ c @ p) @ a.T
-    predictor = a @ p @ c.T / (c @ p @ c.T + r)
-    np.testing.assert_allclose(found.a @ found.gain, predictor, rtol=1e-5)
-    np.testing.assert_allclose(found.covariance, p, rtol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -161,14 +124,6 @@ def test_estimators_are_the_textbook_recursion_late_by_the_delay(observer, form,
         found[:, delay:], wanted[:, : 40 - delay], rtol=1e-6, atol=1e-9 * np.abs(wanted).max()
     )
     assert not np.any(found[:, :delay])
-
-
-def test_the_noise_model_takes_the_compensation_out_at_rest(reduced, observer):
-    def still(one):
-        block = discrete_compensator(one, Application(compensate=True))
-        return np.abs(block.frequency_response(np.array([1e-4]))[1, 0, 0])
-
-    assert still(observer) < 1e-3 * still(discrete_kalman_observer(reduced, published_noise(), SAMPLE_TIME))
 
 
 def test_plant_and_predictor_have_the_poles_of_both_alone():
@@ -207,16 +162,6 @@ def test_a_compensator_with_band_passes_is_its_parts_in_a_row(observer):
     np.testing.assert_allclose(block.frequency_response(omega)[0], wanted, rtol=1e-6)
 
 
-@given(samples=st.integers(0, 5), seed=st.integers(0, 100))
-@settings(max_examples=20)
-def test_delayed_models_answer_the_same_later(samples, seed):
-    rng = np.random.default_rng(seed)
-    model = StateModel(*(rng.standard_normal(s) * 0.4 for s in ((3, 3), (3, 2), (2, 3), (2, 2))), 1e-3)
-    u = rng.standard_normal((2, 12))
-    late = simulate(delayed(model, samples), u)
-    np.testing.assert_allclose(late[:, samples:], simulate(model, u)[:, : 12 - samples], atol=1e-9)
-
-
 def test_bad_delays_forms_and_models_are_refused(reduced, observer):
     with pytest.raises(InputError, match=r"^delay\b"):
         observer.estimator(observer.flexible_outputs, "predictor", 0)
@@ -224,12 +169,6 @@ def test_bad_delays_forms_and_models_are_refused(reduced, observer):
         replace(observer, gain=np.zeros_like(observer.gain))
     with pytest.raises(InputError, match=r"^model\b.*velocities"):
         discrete_kalman_observer(replace(reduced, measures="velocity"), published_noise(), SAMPLE_TIME)
-    with pytest.raises(InputError, match=r"^application\b"):
-        discrete_compensator(observer, Application(stiffness=1.2))
-    with pytest.raises(InputError, match="observable"):
-        blind = reduced.output_shapes.copy()
-        blind[:, 0] = 0
-        discrete_kalman_observer(replace(reduced, output_shapes=blind), published_noise(), SAMPLE_TIME)
 
 
 def braked(drag):

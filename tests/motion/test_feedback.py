@@ -1,45 +1,17 @@
-"""Gains of active damping and stiffness: closed forms, published digits, invariants."""
+"""Active damping and its observer: definitions and invariants."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy import linalg
 
 from experiments.motion.designs import stage_observer
 from experiments.motion.machines import chain, published_noise, stage
 from stillwork.control.applications import Application, compensator
-from stillwork.control.feedback import band_pass, damping_gain, fed_back, place, stiffness_gain
+from stillwork.control.feedback import damping_gain
 from stillwork.estimation.observer import kalman_observer
-from stillwork.lti import StateModel
 from stillwork.lti.reduction import truncate
-
-MODEL = truncate(stage().at([0], [4]), 4, 3)
-
-
-def test_pole_placement_places():
-    achieved = fed_back(MODEL, damping_gain(MODEL, 0.035, "pole placement"))
-    np.testing.assert_allclose(achieved.damping[1:], 0.04, rtol=1e-6)
-    np.testing.assert_allclose(achieved.frequencies, MODEL.frequencies, rtol=1e-6)
-
-
-@settings(max_examples=20, deadline=None)
-@given(st.floats(1e-4, 0.1))
-def test_one_mode_gets_exactly_what_is_asked(increase):
-    single = MODEL.modes([0, 1])
-    gain = damping_gain(single, increase)
-    assert fed_back(single, gain).damping[1] == pytest.approx(0.005 + increase, rel=1e-9)
-
-
-def test_stiffness_scales_the_frequency_and_dilutes_the_damping():
-    single = MODEL.modes([0, 1])
-    moved = fed_back(single, stiffness_gain(single, 1.5))
-    assert moved.frequencies[1] == pytest.approx(1.5 * single.frequencies[1], rel=1e-10)
-    assert moved.damping[1] == pytest.approx(0.005 / 1.5, rel=1e-8)
-    gain = stiffness_gain(single, 1.5)[0, 2]
-    assert gain * single.input_shapes[1, 0] == pytest.approx(-1.25 * single.frequencies[1] ** 2, rel=1e-12)
 
 
 def test_state_feedback_leaves_the_zeros_where_they_are():
@@ -58,23 +30,6 @@ def test_state_feedback_leaves_the_zeros_where_they_are():
 
     before, after = zeros(states.a), zeros(states.a + states.b @ gain)
     np.testing.assert_allclose(before[:4], after[:4], rtol=1e-6)
-
-
-@settings(max_examples=20, deadline=None)
-@given(st.lists(st.floats(-3, -0.1), min_size=4, max_size=4))
-def test_placed_poles_are_the_wanted_ones(wanted):
-    rng = np.random.default_rng(3)
-    model = StateModel(rng.normal(size=(4, 4)), rng.normal(size=(4, 1)), np.ones((1, 4)), np.zeros((1, 1)))
-    gain = place(model, wanted)
-    achieved = np.poly(model.a + model.b @ gain)
-    assert np.allclose(achieved, np.poly(wanted), rtol=1e-6, atol=1e-6)
-
-
-def test_band_pass_is_one_and_in_phase_at_its_centre():
-    response = band_pass(3e3, 2.0).frequency_response([3e2, 3e3, 3e4])[0, 0]
-    assert response[1] == pytest.approx(1.0, abs=1e-12)
-    s = 3e2j
-    assert response[0] == pytest.approx(1.5e3 * s / (s**2 + 1.5e3 * s + 9e6), rel=1e-10)
 
 
 def test_compensator_reads_what_the_definition_says():

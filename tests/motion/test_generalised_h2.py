@@ -73,17 +73,6 @@ def test_no_other_gains_have_a_smaller_norm(seed, size):
     assert optimal.norm <= other.norm * (1 + 1e-12)
 
 
-def test_gramians_are_the_covariances_of_the_riccati_recursion():
-    """(5.37) as printed, from a known state."""
-    _, (a, g, c, q, r) = problem(4)
-    found = generalised_h2_norm(error_system(a, g, c, q, r, predictor_gains(a, g, c, q, r)))
-    p = np.zeros((3, 3))
-    for k, row in enumerate(c):
-        gain = a @ p @ row.T @ np.linalg.inv(row @ p @ row.T + r)
-        p = g @ q @ g.T + a @ p @ a.T - gain @ row @ p @ a.T
-        np.testing.assert_allclose(found.gramians[k + 1], p, rtol=1e-10, atol=1e-12)
-
-
 def test_the_inequalities_hold_above_the_norm_and_for_no_matrices_below_it():
     _, model = problem(0)
     system = error_system(*model, predictor_gains(*model))

@@ -15,7 +15,6 @@ from notebooks.motion.joint_design import (
     JointDesign,
     Problem,
     block,
-    errors_of_nominal_gains,
     grid_of,
     judge,
     loops,
@@ -53,19 +52,6 @@ def test_what_a_step_leaves_is_that_of_the_simulated_loop(delay):
     moved = np.interp(np.arange(2490) + delay, np.arange(2500), step)
     np.testing.assert_allclose(found.step[:2490], moved, atol=2e-9)
     assert found.left == pytest.approx(np.sqrt(np.mean(step[LEFT] ** 2)), rel=0.02)
-
-
-def test_fitted_gains_are_those_of_numpy():
-    found = scan(ODD, grid_of(stage(), transform()))
-    columns = found.errors[1:] / np.linalg.norm(found.errors[1:], axis=1)[:, None]
-    whole = np.linalg.lstsq(columns.T, found.errors[0], rcond=None)[0]
-    np.testing.assert_allclose(
-        found.fitted * np.linalg.norm(found.errors[1:], axis=1),
-        whole,
-        rtol=1e-5,
-        atol=1e-9 * np.abs(whole).max(),
-    )
-    assert errors_of_nominal_gains(ODD, [stage()])[0] == pytest.approx(found.error())
 
 
 def test_the_search_for_one_number_ends_where_all_tried_ones_are_best():

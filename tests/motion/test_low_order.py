@@ -11,7 +11,6 @@ from experiments.motion.machines import published_setpoint, stage, stage_mass
 from notebooks.motion.low_order_feedforward import (
     copy_poles,
     direct_loop,
-    filters,
     pick_poles,
 )
 from stillwork.control.feedforward import (
@@ -87,11 +86,3 @@ def test_gains_are_optimal(grown):
         for name in BASIS:
             gains = replace(best.gains, **{name: getattr(best.gains, name) * (1 + sign)})
             assert np.sum(replace(best, gains=gains).error(DIRECT, SETPOINT) ** 2) >= size
-
-
-@pytest.mark.parametrize("pole", [-300.0 + 0.0j, -50.0 + 400.0j])
-def test_filters_have_their_poles_and_pass_with_gain_one(pole):
-    for each in filters(pole):
-        assert np.abs(each.poles - pole).min() < 1e-9 * abs(pole)
-    still = filters(pole)[0]
-    assert abs(still.frequency_response(np.array([1e-6]))[0, 0, 0]) == pytest.approx(1, rel=1e-9)

@@ -14,7 +14,7 @@ from notebooks.motion.discretisation import (
     undamped_input,
 )
 from stillwork.lti.discretisation import zoh_modes
-from stillwork.lti.reduction import roll_off, truncate
+from stillwork.lti.reduction import truncate
 
 
 def test_stage_is_the_published_one():
@@ -49,28 +49,6 @@ def test_drive_in_nodal_form():
     ]
     expected = d.motor_constant * np.array([h[0, 1] for h in direct])
     np.testing.assert_allclose(d.modal_states().frequency_response(omega)[0, 0], expected, rtol=1e-8)
-
-
-def test_compliance_closes_the_error_at_low_frequency():
-    model = stage().at([0], [4])
-    omega = 2 * np.pi * np.array([1.0, 2.0])
-    full = model.frequency_response(omega)[0, 0]
-    plain, compensated = (truncate(model, 4, k).frequency_response(omega)[0, 0] for k in (0, 4))
-    missing = model.modes(slice(4, None)).compliance()[0, 0]
-    # A spring, but for the damping: of the first mode that is missing 2 zeta w / w_0.
-    damped = 2 * model.damping[4] * omega / model.frequencies[4]
-    assert np.all(np.abs(full - plain - missing) < 2 * damped * abs(missing))
-    # With it the error falls with the square of the frequency.
-    left = np.abs(full - compensated)
-    assert left[0] < 1e-4 * abs(missing)
-
-
-def test_rolled_off_compliance_is_strictly_proper_and_exact_at_rest():
-    reduced = truncate(stage().at([0], [4]), 4, 3)
-    rolled = roll_off(reduced, 5e4)
-    assert not np.any(rolled.d)
-    omega = 2 * np.pi * np.array([1.0])
-    np.testing.assert_allclose(rolled.frequency_response(omega), reduced.frequency_response(omega), rtol=1e-6)
 
 
 def test_reduction_and_discretisation_commute():

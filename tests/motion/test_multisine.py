@@ -11,13 +11,12 @@ from notebooks.motion.rig_identification import (
     direct_response,
     fit_modal_matrix,
     joint_input_output,
-    random_phase_multisine,
     rig_experiment,
     run_multisine,
 )
 from stillwork.estimation.observer import NoiseIntensities
 from stillwork.lti import ModalModel, simulate
-from stillwork.lti.discretisation import sampled_modes, zoh_modes, zoh_response
+from stillwork.lti.discretisation import zoh_modes, zoh_response
 
 GEOMETRY = assumed_geometry()
 SETTINGS = published_settings()
@@ -29,14 +28,6 @@ def records_of(settings, bandwidth_hz, seed, rms, realisations, **experiment):
     loop, rng = rig_experiment(GEOMETRY, settings, bandwidth_hz).loop(), np.random.default_rng(seed)
     deviations = tuple(np.sqrt(astuple(settings.noise)))
     return run_multisine(loop, 4, 4, deviations, rng, rms=rms, realisations=realisations, **experiment)
-
-
-def test_multisine_has_its_rms_and_a_flat_spectrum():
-    signal = random_phase_multisine(np.random.default_rng(1), 256, 0.7)
-    assert np.sqrt(np.mean(signal**2)) == pytest.approx(0.7)
-    spectrum = np.abs(np.fft.rfft(signal))
-    np.testing.assert_allclose(spectrum[1:-1], spectrum[1], rtol=1e-10)
-    assert max(spectrum[0], spectrum[-1]) < 1e-10
 
 
 def test_identification_loop_is_the_loop_by_hand():
@@ -153,13 +144,6 @@ def test_stated_deviations_are_those_of_many_draws():
     stated = np.mean([each.compliance_deviation for each in found])
     assert np.sqrt(np.mean(compliance**2)) == pytest.approx(stated, rel=0.3)
     assert np.mean([each.misfit for each in found]) == pytest.approx(1, abs=0.08)
-
-
-def test_the_hold_delays_the_compliance_of_an_undamped_mode_by_half_a_sample():
-    omega, sample_time, mode = 2 * np.pi * np.array([10.0, 500.0, 1300.0]), 1e-4, 2 * np.pi * 2200.0
-    found = sampled_modes(np.array([mode]), np.zeros(1), sample_time, omega)[0] * mode**2
-    np.testing.assert_allclose(np.angle(found), -omega * sample_time / 2, rtol=1e-9)
-    assert found[0] == pytest.approx(1, rel=0.005)
 
 
 def test_compliance_of_a_mode_above_the_band_is_found():

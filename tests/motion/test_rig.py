@@ -13,9 +13,7 @@ from experiments.motion.rig import (
     decoupling,
     excitation,
     plate_modes,
-    published,
     rig_model,
-    rigid_shapes,
 )
 from experiments.motion.rig_control import rig_compensator, rig_observer
 from experiments.motion.rig_designs import observer_model, published_settings, rig_controllers, rig_loops
@@ -71,16 +69,6 @@ def test_shapes_are_orthogonal_to_one_another_and_to_rigid_motion():
     np.testing.assert_allclose(rigid @ (mean[:, None] * shapes), 0, atol=1e-12)
 
 
-def test_rig_has_the_published_frequencies_and_damping():
-    model, p = rig_model(GEOMETRY), published()
-    np.testing.assert_allclose(model.frequencies[3:11] / (2 * np.pi), p["frequencies_hz"], rtol=1e-14)
-    np.testing.assert_array_equal(model.damping[3:11], p["damping"])
-    assert model.rigid_modes == 3
-    plate = plate_modes(GEOMETRY.width / GEOMETRY.length, GEOMETRY.poisson, 14).parameters
-    np.testing.assert_allclose(model.frequencies[11:] / model.frequencies[10], plate[8:] / plate[7])
-    np.testing.assert_array_equal(model.damping[11:], p["damping"][-1])
-
-
 @pytest.mark.parametrize("position", POSITIONS)
 def test_decoupling_leaves_only_mass_and_inertias(position):
     d = decoupling(GEOMETRY, GEOMETRY.used, position)
@@ -90,50 +78,22 @@ def test_decoupling_leaves_only_mass_and_inertias(position):
     np.testing.assert_allclose(GEOMETRY.edge_masses, 20.0 * np.array([1, 1 / 3, 1 / 3]))
 
 
-def test_decoupling_by_hand_for_a_tilt():
-    tilt = np.array([1e-3, 2e-3, -3e-3])
-    heights = rigid_shapes(GEOMETRY.sensor_places) @ tilt
-    x, y = GEOMETRY.sensor_places[2]
-    assert heights[2] == pytest.approx(1e-3 + 2e-3 * y + 3e-3 * x)
-    read = decoupling(GEOMETRY, (0, 1, 2, 3), (0, 1, 2, 3)).sensing @ heights
-    np.testing.assert_allclose(read / GEOMETRY.edges, tilt)
-
-
 def test_four_actuators_leave_the_twisting_modes_alone():
     four, three = (np.abs(excitation(GEOMETRY, used)) for used in ((0, 1, 2, 3), GEOMETRY.used))
     assert four[0].max() < 1e-12 < 0.1 < three[0].min()
 
 
-def test_zoh_response_is_that_of_the_state_space_model(plant):
-    omega = 2 * np.pi * np.array([0.5, 6.0, 137.0, 138.0, 900.0, 4500.0])
-    held = zoh_modes(plant, SAMPLE_TIME)
-    dense = held.c @ np.linalg.solve(
-        np.exp(1j * omega * SAMPLE_TIME)[:, None, None] * np.eye(len(held.a)) - held.a, held.b.astype(complex)
-    )
-    ours = zoh_response(plant, SAMPLE_TIME, omega)
-    np.testing.assert_allclose(np.moveaxis(ours, -1, 0)[1:], dense[1:], rtol=1e-6)
-    # Far below the first mode only the masses remain, where the dense solution has lost its digits.
-    slow = zoh_response(plant.modes(slice(0, 3)), SAMPLE_TIME, np.array([1e-3]))[:, :, 0]
-    np.testing.assert_allclose(
-        slow.real, -plant.output_shapes[:, :3] @ plant.input_shapes[:3] / 1e-6, rtol=1e-6
-    )
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("noise_model", [None, 1e-4])
-def test_gain_is_where_the_printed_riccati_recursion_settles(plant, noise_model):
-    """The difference equation of section 6.3, iterated from rest, in units that keep it well scaled."""
+def test_gain_is_where_the_printed_riccati_recursion_settles(plant):
+    """The difference equation of section 6.3 with its noise model, iterated from rest, in units that keep it well scaled."""
     model = observer_model(plant).modes(slice(0, 5))
-    noise = NoiseIntensities(1e-4, 1e-14)
+    noise, noise_model = NoiseIntensities(1e-4, 1e-14), 1e-4
     observer = rig_observer(model, noise, SAMPLE_TIME, noise_model)
-    held = zoh_modes(model, SAMPLE_TIME)
-    a, g, c, q = held.a, held.b, held.c * 1e7, noise.process * np.eye(3)
-    if noise_model is not None:
-        zero = np.zeros((3, 3))
-        a = np.block([[a, held.b], [np.zeros((3, len(a))), np.eye(3)]])
-        g = np.block([[held.b, np.zeros_like(held.b)], [zero, np.eye(3)]])
-        c = np.hstack([c, zero])
-        q = np.diag([1e-4] * 3 + [noise_model] * 3)
+    held, zero = zoh_modes(model, SAMPLE_TIME), np.zeros((3, 3))
+    a = np.block([[held.a, held.b], [np.zeros((3, len(held.a))), np.eye(3)]])
+    g = np.block([[held.b, np.zeros_like(held.b)], [zero, np.eye(3)]])
+    c = np.hstack([held.c * 1e7, zero])
+    q = np.diag([noise.process] * 3 + [noise_model] * 3)
     p = g @ q @ g.T
     for _ in range(20000):
         update = np.linalg.solve(c @ p @ c.T + np.eye(3), c @ p).T
@@ -144,22 +104,7 @@ def test_gain_is_where_the_printed_riccati_recursion_settles(plant, noise_model)
     )
 
 
-def test_compensator_response_is_that_of_its_states(loops):
-    block = loops["MC and AD"][0].compensator
-    omega = 2 * np.pi * np.array([1.0, 50.0, 138.0, 512.0, 3000.0])
-    response, states = block.frequency_response(omega), block.realised
-    dense = states.d + states.c @ np.linalg.solve(
-        np.exp(1j * omega * SAMPLE_TIME)[:, None, None] * np.eye(len(states.a)) - states.a,
-        states.b.astype(complex),
-    )
-    assert len(states.a) == 22 + 3 + 3 + 16
-    for rows in (slice(0, 3), slice(3, 6)):
-        np.testing.assert_allclose(
-            np.moveaxis(response, -1, 0)[:, rows], dense[:, rows], atol=1e-6 * np.abs(dense[:, rows]).max()
-        )
-
-
-@pytest.mark.parametrize("case", ["Original", "MC", "AD", "MC and AD"])
+@pytest.mark.parametrize("case", ["Original", "MC and AD"])
 def test_loop_functions_are_those_of_the_simulated_loop(loops, case):
     loop = loops[case][0]
     pids = rig_controllers(GEOMETRY.edge_masses)(4.0, 5.0)
@@ -225,32 +170,12 @@ def test_bandwidth_is_the_largest_by_brute_force(loops, measure):
         assert hertz == pytest.approx(first, rel=3e-3)
 
 
-def test_band_passes_keep_the_decoupling_and_plain_damping_spoils_it(loops):
-    omega = 2 * np.pi * np.array([0.02, 0.04])
-    slopes = {}
-    for name, selectivity in (("band-pass", 2.0), ("none", None)):
-        block = replace(loops["AD"][0].compensator, selectivity=selectivity)
-        loop = replace(loops["AD"][0], compensator=block).on(omega)
-        coupling = np.abs(loop.equivalent_plant()[0, 1])
-        slopes[name] = np.log2(coupling[1] / coupling[0])
-    assert abs(slopes["band-pass"]) < 0.01
-    assert slopes["none"] == pytest.approx(-1, abs=0.1)
-
-
 def test_damping_gain_gives_a_mode_alone_the_wanted_ratio(plant):
     one = plant.modes([0, 1, 2, 3])
     block = rig_compensator(rig_observer(one, SETTINGS.noise, SAMPLE_TIME), target_damping=0.04)
     w, phi = one.frequencies[3], one.input_shapes[3]
     rate = 2 * one.damping[3] * w - phi @ block.gains[:, 0]
     assert rate / (2 * w) == pytest.approx(0.04)
-
-
-def test_search_on_a_coarse_grid_finds_the_peaks_between_its_points(loops):
-    family, fine = rig_controllers(GEOMETRY.edge_masses), loops["Original"][0]
-    coarse = fine.on(2 * np.pi * np.geomspace(0.5, 4900, 150))
-    assert np.abs(coarse.omega / (2 * np.pi * 138) - 1).min() > 0.005  # two widths of the first resonance
-    found = maximise_rig_bandwidth([coarse], family)
-    assert np.max(fine.at(found.pids)) < SIX_DB * (1 + 1e-3)
 
 
 @pytest.mark.parametrize("case", ["Original", "MC and AD"])
@@ -283,13 +208,3 @@ def test_actuators_on_a_nodal_line_are_refused():
         rig_compensator(
             rig_observer(model.modes(slice(0, 5)), SETTINGS.noise, SAMPLE_TIME), target_damping=0.04
         )
-
-
-def test_edges_of_the_plate_carry_no_bending_moment():
-    # w_xx + nu w_yy = 0 on the edge x = 1: natural, so met by the converged shapes only.
-    modes, h, nu = plate_modes(1.0, 0.3, 4, degree=17), 1e-4, 0.3
-    y = np.linspace(-0.6, 0.6, 7)
-    at = lambda dx, dy: modes.shapes(np.full(7, 1 - 2 * h) + dx * h, y + dy * h)  # noqa: E731
-    w_xx = (at(1, 0) - 2 * at(0, 0) + at(-1, 0)) / h**2
-    w_yy = (at(0, 1) - 2 * at(0, 0) + at(0, -1)) / h**2
-    assert np.abs(w_xx + nu * w_yy).max() < 0.05 * np.abs(w_yy).max()

@@ -33,7 +33,7 @@ def closed(model, delta):
     return StateModel(a, model.b[:, n:], model.c[n:], model.d[n:, n:])
 
 
-def worst(model, numbers, seed, count=400):
+def worst(model, numbers, seed, count=120):
     rng = np.random.default_rng(seed)
     draws = [*rng.choice([-1.0, 1.0], (count // 2, numbers)), *rng.uniform(-1, 1, (count // 2, numbers))]
     models = [closed(model, delta) for delta in draws]
@@ -41,7 +41,7 @@ def worst(model, numbers, seed, count=400):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(4))
 def test_what_is_proven_no_perturbed_model_exceeds(seed):
     model = drawn(seed)
     reached = worst(model, 3, seed)
@@ -76,15 +76,16 @@ def test_the_edge_of_stability_is_found():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("frequency", [0.01, 0.03])
-@pytest.mark.parametrize("channel", [("u_ff", "u"), ("v", "e_true"), ("r", "e_true")])
+@pytest.mark.parametrize(
+    ("frequency", "channel"), [(0.01, ("u_ff", "u")), (0.03, ("v", "e_true")), (0.03, ("r", "e_true"))]
+)
 def test_perturbed_stages_stay_below_what_is_proven_of_their_loop(frequency, channel):
     """Modes at any frequency within the bound, damping that follows, and the actuator's gain by itself."""
     plant = stage().at([0], [4]).modes(slice(0, 3))
     pid = PidFamily(12.5)(20.0).state_space()
     model, count = uncertain_channel(plant, None, pid, *channel, frequency=frequency, gain=0.05)
     rng, reached = np.random.default_rng(1), 0.0
-    for _ in range(60):
+    for _ in range(30):
         off, gain = rng.choice([-1, 1, *rng.uniform(-1, 1, 2)], 3), 1 + 0.05 * rng.choice([-1, 0, 1])
         moved = replace(
             plant,

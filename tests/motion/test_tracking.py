@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from experiments.motion.designs import DESIGNS, stage_compensator
 from experiments.motion.machines import published_setpoint, stage, stage_mass
-from naive.motion import integrate_setpoint, moving_windows
+from naive.motion import moving_windows
 from notebooks.motion.disturbance_rejection import band_power, cumulative_power
 from stillwork.control.feedforward import (
     Feedforward,
@@ -20,8 +20,7 @@ from stillwork.control.feedforward import (
 )
 from stillwork.control.loops import channel, closed_loop
 from stillwork.control.pid import PidFamily
-from stillwork.control.setpoint import from_snap
-from stillwork.lti import StateModel, interconnect, resonance_grid, truncate, zoh
+from stillwork.lti import StateModel, interconnect, resonance_grid, truncate
 from stillwork.signals.moving_average import average_filter, average_reduction, moving, rms
 
 PLANT = stage().at([0], [4])
@@ -38,30 +37,6 @@ def test_published_setpoint():
     assert np.allclose(setpoint.derivatives[1:4, -1], 0, atol=1e-9)
     np.testing.assert_allclose(setpoint.scan, (0.04, 0.17))
     assert setpoint.scanning.sum() == 1301
-
-
-def test_setpoint_is_the_integral_of_its_snap():
-    rows = from_snap([3.0, -2.0, 1.0], [0.01, 0.02, 0.01], 1e-3)
-    brute = integrate_setpoint(rows[4], 1e-3)
-    assert np.allclose(rows[:4], brute, rtol=1e-4, atol=1e-12)
-
-
-@settings(max_examples=25, deadline=None)
-@given(
-    st.sampled_from([1e4, 1e5, 1e6]),
-    st.sampled_from([20.0, 80.0, 4e3]),
-    st.sampled_from([0.3, 2.0, 40.0]),
-    st.sampled_from([0.01, 0.2, 1.0]),
-)
-def test_profiles_keep_their_limits_and_end_at_rest(snap, jerk, acceleration, velocity):
-    from stillwork.control.setpoint import segment_times
-
-    t_snap, t_jerk, t_acceleration = segment_times(snap, jerk, acceleration, velocity)
-    top = snap * t_snap * (t_snap + t_jerk)
-    reached = top * (2 * t_snap + t_jerk + t_acceleration)
-    assert snap * t_snap <= jerk * (1 + 1e-9)
-    assert top <= acceleration * (1 + 1e-9)
-    assert reached == pytest.approx(velocity, rel=1e-9)
 
 
 def test_moving_values_are_those_of_every_window():
@@ -122,10 +97,9 @@ def test_simulation_through_python_control(plant):
     assert np.abs(ours - theirs).max() < 1e-10
 
 
-@pytest.mark.parametrize("name", ["MC", "AD", "MC and AD"])
-def test_modified_feedforward_is_a_force_that_the_observer_does_not_see(name):
+def test_modified_feedforward_is_a_force_that_the_observer_does_not_see():
     """(A.7): the copy of the observer cancels the observer in the loop."""
-    block = stage_compensator(5, DESIGNS[name])
+    block = stage_compensator(5, DESIGNS["MC and AD"])
     loop = closed_loop(PLANT, block, CONTROLLER)
     omega = 2 * np.pi * np.array([0.7, 30.0, 200.0, 470.0])
     extra = modified_feedforward(block, CONTROLLER).frequency_response(omega)[0]
@@ -144,26 +118,12 @@ def test_perfect_feedforward_gives_no_error_with_an_observer():
     assert np.abs(short[0] + short[1] * inverse).max() < 1e-7
 
 
-def test_noise_has_the_power_that_the_norm_predicts():
-    loop = closed_loop(PLANT, None, CONTROLLER)
-    sample_time = 1e-4
-    error = noise_error(loop, sample_time, 300_000, {"w": 0.01}, np.random.default_rng(3))[0, 5000:]
-
-    held = zoh(channel(loop, "w", "e_true"), sample_time)
-    impulse = (
-        control.impulse_response(held.to_control(), T=np.arange(6000) * sample_time).outputs * sample_time
-    )
-    # Variance of white noise through a filter: the energy of its impulse response.
-    expected = 0.01 * np.sqrt((impulse**2).sum())
-    assert rms(error) == pytest.approx(expected, rel=0.05)
-
-
 def test_cumulative_power_is_that_of_a_long_record():
     loop = closed_loop(PLANT, stage_compensator(5, DESIGNS["MC"]), CONTROLLER)
     sample_time, noise = 1e-4, {"w": 0.01, "v": 1e-9, "d": 1e-9}
     grid = resonance_grid(np.concatenate([PLANT.poles, loop.poles]), 0.01, 5e3, 2000, 60)
     power = cumulative_power(loop, sample_time, noise, grid)
-    record = noise_error(loop, sample_time, 400_000, noise, np.random.default_rng(8))[:, 5000:]
+    record = noise_error(loop, sample_time, 150_000, noise, np.random.default_rng(8))[:, 5000:]
     assert np.sqrt(power.true[-1]) == pytest.approx(rms(record[0]), rel=0.05)
     # d is white and direct: what the measured error has more is above the bandwidth.
     assert np.sqrt(power.measured[-1]) == pytest.approx(rms(record[1]), rel=0.05)

@@ -1,10 +1,8 @@
 """Slow, obvious twins of what the motion topic and the linear models compute fast."""
 
 from fractions import Fraction
-from itertools import pairwise
 
 import numpy as np
-from scipy import integrate
 
 
 def exponential(a, b, sample_time):
@@ -38,30 +36,3 @@ def moving_windows(error, width):
     """Mean and standard deviation of every window."""
     windows = [error[k : k + width] for k in range(len(error) - width + 1)]
     return np.array([w.mean() for w in windows]), np.array([w.std() for w in windows])
-
-
-def integrate_setpoint(snap, sample_time, substeps=200):
-    """Position to jerk by brute-force summation of a sampled snap, midpoint rule within a sample."""
-    state, rows, h = np.zeros(4), [], sample_time / substeps
-    for s in snap:
-        rows.append(state.copy())
-        for _ in range(substeps):
-            p, v, a, j = state
-            half = np.array([p + v * h / 2, v + a * h / 2, a + j * h / 2, j + s * h / 2])
-            state = state + h * np.array([half[1], half[2], half[3], s])
-    return np.array(rows).T
-
-
-def frequency_norm(loop):
-    """H2 norm by integrating the response, apart from any Lyapunov equation."""
-
-    def density(omega):
-        return np.sum(np.abs(loop.frequency_response(np.array([omega]))) ** 2) / np.pi
-
-    corners = np.unique(np.abs(loop.poles))
-    decades = np.geomspace(corners[0], 1e6 * corners[-1], 30)  # the rest is a millionth of the last corner's
-    edges = np.concatenate([[0.0], np.unique([*corners, *decades])])
-    total = sum(
-        integrate.quad(density, low, high, limit=200, epsrel=1e-8)[0] for low, high in pairwise(edges)
-    )
-    return np.sqrt(total)

@@ -103,24 +103,30 @@ def gain(model, w):
     return ((p + r + ((p - r) ** 2 + 4 * cross.square()).sqrt()) / 2).sqrt()
 
 
+def extreme(function, low, high, sign=1):
+    """Where a decimal function is largest (sign 1) or smallest (-1) between two numbers, by golden section."""
+    ratio = (Decimal(5).sqrt() - 1) / 2
+    low, high = Decimal(float(low)), Decimal(float(high))
+    one, two = high - ratio * (high - low), low + ratio * (high - low)
+    first, second = sign * function(one), sign * function(two)
+    for _ in range(60):
+        if first > second:
+            high, two, second = two, one, first
+            one = high - ratio * (high - low)
+            first = sign * function(one)
+        else:
+            low, one, first = one, two, second
+            two = low + ratio * (high - low)
+            second = sign * function(two)
+    return one
+
+
 def precise_norm(model, start, step):
-    """The local maximum of the gain over w near `start`, by golden section from a bracket of `step` to either side."""
+    """The local maximum of the gain over w near `start`, within `step` to either side."""
     with localcontext(Context(DIGITS)):
-        ratio = (Decimal(5).sqrt() - 1) / 2
-        low, high = Decimal(float(max(start - step, 0.0))), Decimal(float(start + step))
-        one, two = high - ratio * (high - low), low + ratio * (high - low)
-        first, second = gain(model, one), gain(model, two)
-        ends = [gain(model, low), gain(model, high)]
-        for _ in range(60):
-            if first > second:
-                high, two, second = two, one, first
-                one = high - ratio * (high - low)
-                first = gain(model, one)
-            else:
-                low, one, first = one, two, second
-                two = low + ratio * (high - low)
-                second = gain(model, two)
-        return max(first, second, *ends)
+        low, high = max(start - step, 0.0), start + step
+        at = extreme(lambda w: gain(model, w), low, high)
+        return max(gain(model, w) for w in (at, Decimal(float(low)), Decimal(float(high))))
 
 
 def gains(model, w):

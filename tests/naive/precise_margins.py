@@ -7,7 +7,7 @@ from math import atan, atan2, degrees, inf, pi
 
 import numpy as np
 
-from naive.precise import DIGITS, Complex, place, response
+from naive.precise import DIGITS, Complex, extreme, place, response
 from stillwork import control, estimation, lti
 from stillwork.lti.discretisation import tustin
 from stillwork.lti.peaks import refine_peak
@@ -110,24 +110,6 @@ class OpenLoop:
         return np.unique(np.concatenate([around[around > size.min() * 1e-5], wide]))
 
 
-def _extreme(function, low, high, sign):
-    """Where a decimal function is largest (sign 1) or smallest (-1) between two numbers, by golden section."""
-    ratio = (Decimal(5).sqrt() - 1) / 2
-    low, high = Decimal(float(low)), Decimal(float(high))
-    one, two = high - ratio * (high - low), low + ratio * (high - low)
-    first, second = sign * function(one), sign * function(two)
-    for _ in range(50):
-        if first > second:
-            high, two, second = two, one, first
-            one = high - ratio * (high - low)
-            first = sign * function(one)
-        else:
-            low, one, first = one, two, second
-            two = low + ratio * (high - low)
-            second = sign * function(two)
-    return one
-
-
 def _crossings(function, w, size):
     """Where the square of a magnitude passes 1, and whether it falls there; a grazing peak may do so between two points."""
     places = dict(zip(map(Decimal, w.tolist()), (size >= 1).tolist(), strict=True))
@@ -135,7 +117,7 @@ def _crossings(function, w, size):
         inner = sign * size
         tops = 1 + np.flatnonzero((inner[1:-1] >= inner[:-2]) & (inner[1:-1] >= inner[2:]))
         for k in tops[np.abs(np.log(size[tops])) < 0.2]:
-            at = _extreme(function, w[k - 1], w[k + 1], sign)
+            at = extreme(function, w[k - 1], w[k + 1], sign)
             places[at] = function(at) >= 1
     ordered = sorted(places)
     return [
@@ -194,7 +176,7 @@ def judged_margins(loop, pid):
 
         distance = np.abs(1 + output)
         k = int(np.clip(np.nanargmin(distance), 1, len(w) - 2))
-        nearest = apart(_extreme(apart, w[k - 1], w[k + 1], -1)).sqrt()
+        nearest = apart(extreme(apart, w[k - 1], w[k + 1], -1)).sqrt()
         angles, factors = [pi], []
         if observed:
             passes = _crossings(lambda x: open_loop.exact(x)[1].square(), w, np.abs(output))
