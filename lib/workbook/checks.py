@@ -8,6 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
+WORDS = {
+    str: "text",
+    bool: "true or false",
+    dict: "a table",
+    list: "a list, [...]",
+}  # for kinds of TOML's values
+
 
 class InputError(ValueError):
     """An argument or file that cannot be used; the message names it and states what to do.
@@ -60,8 +67,20 @@ def require_choice(name: str, value, choices: Iterable[str]) -> str:
 def require_kind(name: str, value, kind: type):
     """Return `value` when it is of this class, else raise `InputError`."""
     if not isinstance(value, kind):
-        raise InputError(f"{name} is {short_repr(value)}; give {kind.__name__}")
+        wanted = WORDS.get(kind, kind.__name__)
+        raise InputError(f"{name} is {short_repr(value)}; give {wanted}")
     return value
+
+
+def require_fields(name: str, given, known: Iterable[str], needed: Iterable[str] = ()) -> None:
+    """Raise `InputError` unless `given` is a table with fields of these names alone, all `needed` ones among them."""
+    known = list(known)
+    for key in require_kind(name, given, dict):
+        if key not in known:
+            raise InputError(f"{name}: unknown field {key!r}{nearest(key, known)}")
+    for key in needed:
+        if key not in given:
+            raise InputError(f"{name}: {key} is missing; give it")
 
 
 def require_number(

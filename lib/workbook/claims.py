@@ -21,6 +21,7 @@ from workbook.checks import (
     nearest,
     require_array,
     require_choice,
+    require_fields,
     require_kind,
     require_number,
     short_repr,
@@ -138,8 +139,7 @@ class Entry:
         require_choice(f"{self.id}: kind", self.kind, KINDS)
         require_choice(f"{self.id}: basis", self.basis, BASES)
         for name in ("place", "quantity", "unit", "reason", "open"):
-            if not isinstance(getattr(self, name), str):
-                raise InputError(f"{self.id}: {name} is {short_repr(getattr(self, name))}; give text")
+            require_kind(f"{self.id}: {name}", getattr(self, name), str)
             if name in ("place", "quantity") and not getattr(self, name):
                 raise InputError(f"{self.id}: {name} is empty; fill it in")
         if self.published is not None:
@@ -404,21 +404,11 @@ def _entries(tree: dict, path: tuple[str, ...]) -> Iterator[Entry]:
 def _entry(name: str, fields: dict) -> Entry:
     known = [key for key in Entry.__dataclass_fields__ if key != "id"]
     rules = {key: fields[key] for key in ("tolerance", "drift") if key in fields}
+    require_fields(name, fields, known)
     for key, rule in rules.items():
-        if not isinstance(rule, dict):
-            raise InputError(
-                f"{name}: {key} is {short_repr(rule)}; give a table such as {{ relative = 0.01, source = '...' }}"
-            )
-    for given, allowed in (
-        (fields, known),
-        *((rule, Tolerance.__dataclass_fields__) for rule in rules.values()),
-    ):
-        for key in given:
-            if key not in allowed:
-                raise InputError(f"{name}: unknown field {key!r}{nearest(key, allowed)}")
+        require_fields(f"{name}: {key}", rule, Tolerance.__dataclass_fields__)
     for flag in ("counterfactual", "headline"):
-        if not isinstance(fields.get(flag, False), bool):
-            raise InputError(f"{name}: {flag} is {fields[flag]!r}; give true or false")
+        require_kind(f"{name}: {flag}", fields.get(flag, False), bool)
     try:
         return Entry(id=name, **{**fields, **{key: Tolerance(**rule) for key, rule in rules.items()}})
     except (TypeError, InputError) as error:

@@ -113,23 +113,19 @@ def _folder():
 def sweep() -> None:
     """Remove the folders of runners that were killed; one that has just been made may not be locked yet.
 
-    Only folders to which this user alone has access are opened: the place is shared, and others may put links and FIFOs there.
+    Only this user's own folders are opened: the place is shared, and others may put links and FIFOs there.
     """
     for folder in Path(tempfile.gettempdir()).glob(f"{PREFIX}*"):
-        try:
+        with contextlib.suppress(OSError):  # in use, or gone meanwhile
             about = folder.lstat()
-            private = (
-                stat.S_ISDIR(about.st_mode) and about.st_uid == os.getuid() and not about.st_mode & 0o077
-            )
-            if private and time.time() - about.st_mtime > 60:
-                held = os.open(folder / LOCK, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
-                try:
-                    fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if (
+                about.st_uid == os.getuid()
+                and stat.S_ISDIR(about.st_mode)
+                and time.time() - about.st_mtime > 60
+            ):
+                with (folder / LOCK).open() as lock:
+                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
                     shutil.rmtree(folder, ignore_errors=True)
-                finally:
-                    os.close(held)
-        except OSError:  # in use, or gone meanwhile
-            continue
 
 
 def _execute(job: Job, folder: Path, on_cell: Callable[[], object], forks: bool) -> Outcome:

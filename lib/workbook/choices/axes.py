@@ -8,7 +8,16 @@ from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 
 from workbook import paths
-from workbook.checks import InputError, nearest, read_toml, require_choice, require_count, require_number
+from workbook.checks import (
+    InputError,
+    nearest,
+    read_toml,
+    require_choice,
+    require_count,
+    require_fields,
+    require_kind,
+    require_number,
+)
 from workbook.claims import load_entries
 
 AXIS_KINDS = ("text", "number", "definition", "procedure", "seed")
@@ -230,15 +239,12 @@ def _read(topic: str) -> dict:
 
 def _axis(name: str, given, ledger: tuple[str, ...]) -> Axis:
     known = [each.name for each in fields(Axis) if each.name != "id"]
-    _require_fields(name, given, known, ("question", "options", "default", "source", "touches", "kind"))
+    require_fields(name, given, known, ("question", "options", "default", "source", "touches", "kind"))
     for key in ("options", "touches"):
-        if not isinstance(given[key], list):
-            raise InputError(f"{name}: {key} is no list; give [...]")
+        require_kind(f"{name}: {key}", given[key], list)
     for key in ("question", "source", "kind", "unit"):
-        if not isinstance(given.get(key, ""), str):
-            raise InputError(f"{name}: {key} is {given[key]!r}; give a text")
-    if not isinstance(given.get("after", False), bool):
-        raise InputError(f"{name}: after is {given['after']!r}; give true or false")
+        require_kind(f"{name}: {key}", given.get(key, ""), str)
+    require_kind(f"{name}: after", given.get("after", False), bool)
     for option in (*given["options"], given["default"]):
         if not isinstance(option, Option) or (isinstance(option, float) and not math.isfinite(option)):
             raise InputError(f"{name}: option {option!r} is no text, number or flag; give one of these")
@@ -255,7 +261,7 @@ def _multiverse(
     ledger: tuple[str, ...],
 ) -> Multiverse:
     name = f"studies.{study}"
-    _require_fields(name, given, _STUDY_FIELDS, ("function", "entries"))
+    require_fields(name, given, _STUDY_FIELDS, ("function", "entries"))
     module, colon, function = given["function"].partition(":")
     whole = colon and function.isidentifier() and all(p.isidentifier() for p in module.split("."))
     if not whole and not given["function"].startswith(f"{topic}/"):
@@ -302,24 +308,8 @@ def _windows(name: str, given, axes: list[Axis]) -> dict[str, tuple[float, float
 
 def _with_defaults(name: str, defaults, axes: list[Axis]) -> list[Axis]:
     """The axes as one study sees them."""
-    if not isinstance(defaults, dict):
-        raise InputError(f"{name}: defaults is {defaults!r}; give a table of axes")
-    names = [axis.name for axis in axes]
-    for key in defaults:
-        if key not in names:
-            raise InputError(f"{name}: defaults names {key!r}, no axis of its entries{nearest(key, names)}")
+    require_fields(f"{name}: defaults", defaults, [axis.name for axis in axes])
     return [replace(axis, default=defaults.get(axis.name, axis.default)) for axis in axes]
-
-
-def _require_fields(name: str, given, known: Iterable[str], needed: Iterable[str]) -> None:
-    if not isinstance(given, dict):
-        raise InputError(f"{name}: a value, not a table; give it fields")
-    for key in given:
-        if key not in known:
-            raise InputError(f"{name}: unknown field {key!r}{nearest(key, known)}")
-    for key in needed:
-        if key not in given:
-            raise InputError(f"{name}: {key} is missing; give it")
 
 
 def _matching(name: str, starts: Iterable[str], ledger: tuple[str, ...]) -> tuple[str, ...]:

@@ -4,7 +4,7 @@ import tomllib
 from urllib.parse import quote
 
 from workbook import paths
-from workbook.checks import InputError, nearest, read_toml
+from workbook.checks import read_toml, require_fields, require_kind
 
 FOLDERS = (
     "`notebooks/` holds the results and what each computes, `data/` the published numbers, `figures/` the accepted "
@@ -71,20 +71,11 @@ def _paper(topic: str) -> dict:
     file = paths.data(topic, "paper.toml")
     given = dict(read_toml(file)) if file.is_file() else {}
     given.pop("order", None)  # which `paths.topics` reads
+    require_fields(f"{file}", given, PAPER)
     for name, value in given.items():
-        if name not in PAPER:
-            raise InputError(f"{file}: unknown field {name!r}{nearest(name, PAPER)}")
-        if not isinstance(value, kind := type(PAPER[name])):
-            raise InputError(f"{file}: {name} is no {kind.__name__}")
+        require_kind(f"{file}: {name}", value, type(PAPER[name]))
     for name in ("found", "headline"):
         for each in given.get(name, []):
-            if not isinstance(each, dict) or not {"says", "entry"} <= set(each) <= {
-                "says",
-                "entry",
-                "otherwise",
-            }:
-                raise InputError(
-                    f"{file}: {name} holds {each!r}; give {{ says = '...', entry = '...' }}, perhaps otherwise = '...'"
-                )
+            require_fields(f"{file}: {name}", each, ("says", "entry", "otherwise"), ("says", "entry"))
     title = given.get("title") or topic.capitalize()
     return {**PAPER, "paper": title, **given, "title": title}
