@@ -3,8 +3,6 @@
 One line of a table for each function, so that a new function gets one, too.
 """
 
-import math
-
 import numpy as np
 import pytest
 
@@ -114,36 +112,6 @@ def fed_forward(length=1.0, force=1.0, rate=1.0):
     return gains * force / length * rate ** np.array([1.0, 2.0, 3.0, 4.0])
 
 
-def spring_acceleration(position, velocity, force, p):
-    return (force - p[1] * velocity - p[2] * position * math.tanh(position / p[3]) ** 2) / p[0]
-
-
-def spring_force(position, velocity, acceleration, p):
-    return p[0] * acceleration + p[1] * velocity + p[2] * position * math.tanh(position / p[3]) ** 2
-
-
-def followed(kind, length=1.0, rate=1.0, form=np.asarray):
-    """Velocity that a Kalman filter finds of a mass on a spring that is soft in its middle, in units of a length and of time."""
-    parameters = np.array([2.0, 3.0 * rate, 500.0 * rate**2, 0.1 / length])
-    plant = estimation.Plant(spring_acceleration, spring_force, parameters)
-    if kind == "unscented":
-        sizes = np.array([0.1 * rate**2, 1e-3]) / length**2
-        settings = estimation.UnscentedKalman(plant, sizes, sizes / 3, initial_variance=1e-3 / length**2)
-    else:
-        settings = estimation.ExtendedKalman(
-            plant,
-            disturbance_step=rate**2 / length,
-            noise_deviation=1e-3 / length,
-            initial_deviation=tuple(np.array([1e-2, rate, 10.0 * rate**2]) / length),
-        )
-    time = np.arange(400)
-    measured = form(np.rint(100 + 80 * np.sin(time / 60)))
-    measured = measured if form is not np.asarray else measured / 500 / length
-    force = 5.0 * np.cos(time / 40) / length * rate**2
-    found = estimation.filter_signal(settings, measured, force, sample_time=1e-3 / rate)
-    return np.array([found.velocity, found.acceleration / rate]) * length / rate
-
-
 def adapted(settings, rows, target):
     return estimation.identify(settings, rows, target).weights
 
@@ -197,8 +165,6 @@ LENGTHS = {
     "decoupling of actuators": lambda k: decoupled(force=k).actuation * k,
     "feedforward": lambda k: fed_forward(length=k),
     "feedforward of a force": lambda k: fed_forward(force=k),
-    "extended filter": lambda k: followed("extended", length=k),
-    "unscented filter": lambda k: followed("unscented", length=k),
     "low pass": lambda k: estimation.filter_signal(estimation.LowPass(350.0), k * noise()[0]).velocity / k,
     "trajectory": lambda k: control.asin_trajectory(amplitude=k).acceleration / k,
     "setpoint": lambda k: (
@@ -221,7 +187,6 @@ TIMES = {
     "H2 optimum": lambda k: estimation.h2_riccati(steered(rate=k)).norm / k,
     "H2-optimal controller": lambda k: controlled(rate=k),
     "feedforward": lambda k: fed_forward(rate=k),
-    "extended filter": lambda k: followed("extended", rate=k),
     "low pass": lambda k: (
         estimation.filter_signal(estimation.LowPass(350.0 * k), noise()[0], sample_time=1e-3 / k).velocity / k
     ),

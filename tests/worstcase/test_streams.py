@@ -1,7 +1,5 @@
 """The estimators of a stream against certified values, exact relations and shifted, scaled and turned copies of records."""
 
-import subprocess
-import sys
 import warnings
 
 import numpy as np
@@ -244,59 +242,3 @@ def test_single_precision_keeps_its_digits():
     narrow = (X + 100).astype(np.float32), y.astype(np.float32)
     wide = RecursiveLeastSquares().fit(*(each.astype(float) for each in narrow))
     assert np.array_equal(RecursiveLeastSquares().fit(*narrow).coef_, wide.coef_)
-
-
-STEPS = """
-import sys
-import numpy as np
-from numba.core.dispatcher import Dispatcher
-from stillwork import estimation
-
-rng = np.random.default_rng(1)
-X, y = rng.standard_normal((2000, 3)), rng.standard_normal(2000)
-X[300:600] = X[300]
-X[900:1000] = np.nan
-frozen = X.copy()
-frozen.flags.writeable = False
-makers = {
-    "RLS": lambda: estimation.RecursiveLeastSquares(forgetting=0.99),
-    "RLS, P": lambda: estimation.RecursiveLeastSquares(forgetting=0.99, initial_covariance=1.0),
-    "RLS, window": lambda: estimation.RecursiveLeastSquares(window=50),
-    "LMS": estimation.LeastMeanSquares,
-    "min-max": lambda: estimation.MinMaxRegressor(0.3, forgetting=0.99),
-    "min-max, known": lambda: estimation.MinMaxRegressor([0.3, 0.0, 0.1], "sample"),
-    "FeLMS": lambda: estimation.AdaptationStepper(estimation.FeLms(0.1), np.zeros((2, 3))),
-    "FeRLS": lambda: estimation.AdaptationStepper(estimation.FeRls(1.0), np.zeros((2, 3), order="F")),
-    "FeRLS, UD": lambda: estimation.AdaptationStepper(estimation.FeRls(1.0, form="UD"), np.zeros((1, 3))),
-    "FeRLS, float32": lambda: estimation.AdaptationStepper(
-        estimation.FeRls(1.0, 0.999, dtype="float32"), np.zeros((1, 3))
-    ),
-}
-
-
-def specialised():
-    modules = [module for name, module in list(sys.modules.items()) if name.startswith("stillwork.")]
-    kernels = {each for module in modules for each in vars(module).values() if isinstance(each, Dispatcher)}
-    return {(kernel.__name__, signature) for kernel in kernels for signature in kernel.overloads}
-
-
-for name, make in makers.items():
-    made = make()
-    before = specialised()
-    assert before
-    for k in range(2000):
-        if hasattr(made, "partial_fit"):
-            table = (frozen, X, np.asfortranarray(X[k : k + 2])[::2])[k % 3]
-            made.partial_fit(table[k : k + 1] if k % 3 < 2 else table, y[k : k + 1])
-        else:
-            row = np.nan_to_num(X[k])
-            made.update(row, made.weights @ row - y[k])
-    assert specialised() == before, (name, specialised() - before)
-"""
-
-
-@pytest.mark.slow
-def test_nothing_is_compiled_in_the_middle_of_a_stream():
-    """No kernel takes on another signature than those of its making, kept on disk or not; in a process of its own."""
-    done = subprocess.run([sys.executable, "-c", STEPS], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
