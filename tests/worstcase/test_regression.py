@@ -34,6 +34,7 @@ KINDS = [
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::stillwork.estimation.min_max.ZeroEstimateWarning")
+@pytest.mark.filterwarnings("ignore:Estimator .* does not inherit")
 @pytest.mark.parametrize("estimator", EVERY, ids=repr)
 def test_it_passes_scikit_learn_s_own_checks(estimator):
     assert len(check_estimator(estimator, on_skip=None)) > 50

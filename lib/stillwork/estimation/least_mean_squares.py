@@ -6,7 +6,6 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from sklearn.utils.validation import check_is_fitted
 
 from stillwork.base.checks import require_number
 from stillwork.base.kernels import kernel
@@ -19,7 +18,7 @@ LEAST_GAIN = 0.01  # of the mean: it follows a drift in a hundred samples
 MEAN, SPREAD, SQUARES, _, BESIDE = range(5)  # rows below the coefficients, and how many
 
 
-@dataclass(eq=False, repr=False)
+@dataclass(eq=False)
 class LeastMeanSquares(UnweightedRegressor):
     """Normalised least mean squares: coef += step_size (y - coef x) x' / (regularisation + |x|^2).
 
@@ -100,7 +99,7 @@ class LeastMeanSquares(UnweightedRegressor):
     @property
     def scale_ratio_(self):
         """Largest over smallest size of the features; those that do not move are left out."""
-        check_is_fitted(self)
+        self._require_fitted()
         return self._scales()[0]
 
     def _scales(self) -> tuple[float, float]:

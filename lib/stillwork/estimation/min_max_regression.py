@@ -48,7 +48,7 @@ def _solve_around_known(matrix, target, known, estimate: Callable) -> np.ndarray
     return coef
 
 
-@dataclass(eq=False, repr=False)
+@dataclass(eq=False)
 class MinMaxRegressor(TriangleRegressor):
     """Least squares for features with a bounded error: minimises the largest residual.
 

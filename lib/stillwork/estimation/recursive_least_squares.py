@@ -5,14 +5,13 @@ from typing import Any
 
 import numpy as np
 from scipy.linalg import solve_triangular
-from sklearn.utils.validation import check_is_fitted
 
 from stillwork.estimation.recursive import warn_held
 from stillwork.estimation.regression import TriangleRegressor
 from stillwork.estimation.triangle_kernels import HELD, MASS, MEAN, NO_BOUNDS, POWER, SINGULAR, least_share
 
 
-@dataclass(eq=False, repr=False)
+@dataclass(eq=False)
 class RecursiveLeastSquares(TriangleRegressor):
     """Recursive least squares with exponential forgetting or over a window, all outputs with one triangle.
 
@@ -96,7 +95,7 @@ class RecursiveLeastSquares(TriangleRegressor):
 
         Infinite while the samples do not determine all coefficients.
         """
-        check_is_fitted(self)
+        self._require_fitted()
         state, n = self._state.record, self.n_features_in_
         unknowns = n + self._has_intercept
         sizes = np.sqrt(state[n + POWER, :n])
@@ -114,7 +113,7 @@ class RecursiveLeastSquares(TriangleRegressor):
     @property
     def held_(self):
         """Share of the last time constant in which `growth_limit` held a variance down, shape (features,)."""
-        check_is_fitted(self)
+        self._require_fitted()
         n = self.n_features_in_
         return np.minimum(self._state.record[n + HELD, :n], 1.0)
 

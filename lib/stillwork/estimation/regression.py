@@ -1,26 +1,28 @@
 """Recursive estimators with scikit-learn's interface: `fit` for a record, `partial_fit` for a stream.
 
-A sample with NaN in a feature or an output is lost: forgetting acts, but nothing is learned.
+They follow its protocol without its base classes, whose import takes longer than all else of a first call: it is imported
+for tables that are no arrays of numbers, for scores, and where it asks by itself. A sample with NaN in a feature or an output is lost: forgetting acts, but nothing is learned.
 A call that is refused changes nothing.
 """
 
 import math
 import warnings
+from dataclasses import fields
 from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
-from sklearn.utils.validation import check_array, check_is_fitted, validate_data
 
 from stillwork.base.checks import (
     InputError,
+    nearest,
     pluralise,
     require_array,
     require_count,
     require_kind,
     require_number,
 )
+from stillwork.base.extras import require_package
 from stillwork.estimation.recursive import LARGEST, require_finite_squares, require_squares
 from stillwork.estimation.triangle_kernels import NO_BOUNDS, empty_record, learn_rows, start_record
 
@@ -36,10 +38,62 @@ class _InputTypeError(InputError, TypeError):
     """What scikit-learn calls a TypeError and the toolbox an InputError."""
 
 
-class RecursiveRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
-    # y = coef x + intercept. A subclass keeps what it needs of the rows in `_state`.
+class RecursiveRegressor:
+    # y = coef x + intercept. A subclass is a dataclass of its settings, and keeps what it needs of the rows in `_state`.
     fit_intercept: Any
+    n_features_in_: int
     _has_intercept: bool
+
+    def get_params(self, deep=True):
+        """Settings by name, as scikit-learn asks for them.
+
+        Parameters
+        ----------
+        deep : bool
+            Without effect: no setting is an estimator.
+
+        Returns
+        -------
+        dict
+
+        Examples
+        --------
+        >>> estimation.LeastMeanSquares(step_size=0.5).get_params()["step_size"]
+        0.5
+        """
+        return {each.name: getattr(self, each.name) for each in fields(self)}  # type: ignore[arg-type]
+
+    def set_params(self, **params):
+        """Change settings.
+
+        Parameters
+        ----------
+        **params
+            New values by name; `fit` and `partial_fit` check them.
+
+        Returns
+        -------
+        estimator
+            The estimator itself.
+
+        Raises
+        ------
+        InputError
+            When a setting has another name.
+
+        Examples
+        --------
+        >>> estimation.LeastMeanSquares().set_params(step_size=0.5).step_size
+        0.5
+        """
+        known = list(self.get_params())
+        for name in params:
+            if name not in known:
+                raise InputError(
+                    f"{type(self).__name__} has no setting {name!r}; it has {', '.join(known)}{nearest(name, known)}"
+                )
+        vars(self).update(params)
+        return self
 
     def predict(self, X):
         """Outputs for new samples.
@@ -66,7 +120,7 @@ class RecursiveRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         >>> lms.predict([[2.0], [np.nan]]).round(3)
         array([ 6., nan])
         """
-        check_is_fitted(self)
+        self._require_fitted()
         return self._features(X, anew=False) @ self.coef_.T + self.intercept_
 
     def score(self, X, y, sample_weight=None):
@@ -97,17 +151,28 @@ class RecursiveRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         >>> round(lms.score([[1.0], [2.0]], [3.0, 6.0]), 6)
         1.0
         """
-        check_is_fitted(self)
+        self._require_fitted()
         X, y, weights = self._samples(X, y, sample_weight, anew=False)
         used = ~_lost(X, y)
         if not weights[used].any():
             raise _nothing()
-        return super().score(X[used], y[used], weights[used])
+        r2_score = require_package("sklearn.metrics").r2_score
+        return r2_score(y[used], self.predict(X[used]), sample_weight=weights[used])
 
     def __sklearn_tags__(self):
-        tags = super().__sklearn_tags__()
-        tags.input_tags.allow_nan = True
-        return tags
+        from sklearn.utils import InputTags, RegressorTags, Tags, TargetTags
+
+        return Tags(
+            estimator_type="regressor",
+            target_tags=TargetTags(required=True, multi_output=True),
+            regressor_tags=RegressorTags(),
+            input_tags=InputTags(allow_nan=True),
+        )
+
+    def _require_fitted(self) -> None:
+        if not hasattr(self, "coef_"):
+            error = require_package("sklearn.exceptions").NotFittedError
+            raise error(f"this {type(self).__name__} is not fitted; call fit or partial_fit first")
 
     def _update(self, X, outputs, weights, anew) -> tuple[np.ndarray, np.ndarray]:
         # Rows more in `_state`; coefficients, a row for each output, and intercepts. Rows of weight 0 are zero.
@@ -173,7 +238,9 @@ class RecursiveRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             raise InputError(
                 "y is a single value; give one output for each sample, such as [y] for one sample"
             )
+        y = _as_doubles(y)
         if not _is_plain(y):
+            check_array = require_package("sklearn.utils.validation").check_array
             y = _as_input_error("y", check_array, y, ensure_2d=False, input_name="y", **NUMBERS)
         require_finite_squares("y", y)
         if y.shape[:1] != X.shape[:1]:
@@ -200,9 +267,14 @@ class RecursiveRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         )
 
     def _features(self, X, anew):
-        # an array of the shape that was learned from needs none of the checks that take ten times as long as a step
-        known = not anew and not hasattr(self, "feature_names_in_") and _is_plain(X)
-        if not (known and X.shape[1:] == (self.n_features_in_,)):
+        # an array of numbers needs none of the checks that take ten times as long as a step
+        X = _as_doubles(X)
+        plain = _is_plain(X) and X.ndim == 2 and (anew or not hasattr(self, "feature_names_in_"))
+        if plain and anew:
+            self.n_features_in_ = X.shape[1]
+            vars(self).pop("feature_names_in_", None)
+        elif not (plain and X.shape[1] == self.n_features_in_):
+            validate_data = require_package("sklearn.utils.validation").validate_data
             X = _as_input_error("X", validate_data, self, X, reset=anew, **NUMBERS)
         require_finite_squares("X", X)
         return X
@@ -413,6 +485,12 @@ class UnweightedRegressor(RecursiveRegressor):
         array([3.])
         """
         return self._learn(X, y, None, anew=not hasattr(self, "coef_"), whole=False)
+
+
+def _as_doubles(value):
+    """An array of other real numbers as one that is calculated with; all else as it is."""
+    other = type(value) is np.ndarray and value.dtype != np.float64 and value.dtype.kind in "fiub"
+    return value.astype(np.float64) if other else value
 
 
 def _is_plain(value) -> bool:

@@ -7,7 +7,6 @@ import time
 import warnings
 from collections.abc import Callable
 from functools import partial
-from importlib.util import find_spec
 from itertools import product
 
 import numpy as np
@@ -21,6 +20,8 @@ from stillwork.estimation.coordinate_filters import (
     UnscentedKalman,
 )
 from stillwork.estimation.filtering import filter_signal
+from stillwork.estimation.least_mean_squares import LeastMeanSquares
+from stillwork.estimation.min_max_regression import MinMaxRegressor
 from stillwork.estimation.online import AdaptationStepper, adapt, identify
 from stillwork.estimation.plant import Plant
 from stillwork.estimation.recursive import track
@@ -58,12 +59,8 @@ def first_calls() -> dict[str, Callable[[], object]]:
     for form, dtype in product(("triangle", "UD"), ("float64", "float32")):
         calls[f"FeRls {dtype} {form}"] = partial(run, FeRls(1.0, 0.99, form=form, dtype=dtype))
     calls["track"] = lambda: track(rows, outputs[0], 0.99)
-    if find_spec("sklearn"):  # an extra
-        from stillwork.estimation.least_mean_squares import LeastMeanSquares
-        from stillwork.estimation.min_max_regression import MinMaxRegressor
-
-        calls["RecursiveLeastSquares"] = lambda: MinMaxRegressor(0.1).fit(rows.T, outputs[0])  # one kernel
-        calls["LeastMeanSquares"] = LeastMeanSquares
+    calls["RecursiveLeastSquares"] = lambda: MinMaxRegressor(0.1).fit(rows.T, outputs[0])  # one kernel
+    calls["LeastMeanSquares"] = LeastMeanSquares
     for each in (LowPass(), MovingWindow(), SavitzkyGolay(), ExtendedKalman(plant), UnscentedKalman(plant)):
         calls[type(each).__name__] = partial(filter_signal, each, np.zeros(100), force=np.zeros(100))
     return calls
