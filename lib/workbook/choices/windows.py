@@ -89,14 +89,19 @@ def _run(function, tasks: Mapping[str, tuple], pool, journal: Journal, unit: str
 
 
 def _fits(multiverses: list[Multiverse], entries: dict[str, Entry]) -> dict[str, tuple]:
-    """Arguments of `fit` for the studies in which several choices have a range, by the key of what it finds."""
+    """Arguments of `fit` for the studies in which several choices have a range, by the key of what it finds.
+
+    These choices begin at their first options, and at their last ones, for each setting of the others.
+    """
     tasks = {}
     for multiverse in multiverses:
         judged = [entries[name] for name in multiverse.entries if entries[name].is_replication]
         two_sided = (each for each in judged if each.kind == "value" and each.better is None)
         mine = [each for each in two_sided if each.tolerance.interval is None]
-        several = mine and len(multiverse.windows) > 1
-        for point in _points(multiverse, "", multiverse.entries) if several else ():
+        ranged = [k for k, axis in enumerate(multiverse.axes) if axis.name in multiverse.windows]
+        ends = {tuple(0 for _ in ranged), tuple(len(multiverse.axes[k].texts) - 1 for k in ranged)}
+        points = _points(multiverse, "", multiverse.entries) if mine and len(ranged) > 1 else ()
+        for point in (each for each in points if tuple(each[k] for k in ranged) in ends):
             facts = ["fit", study_digest(multiverse.function), multiverse.windows, repr(mine)]
             facts += [multiverse.options(point), multiverse.seeds]
             tasks[hashlib.sha256(json.dumps(facts).encode()).hexdigest()] = (multiverse, point, mine)
