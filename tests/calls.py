@@ -194,7 +194,8 @@ def catalogue() -> dict:
     def isolator_paths(f):
         return isolator.paths(f, 1e-3)
 
-    isolated = m.try_loop(feedforward, isolator, isolator_paths, ground, "FeRls", 0.1)
+    mismatch = m.Mismatch(lines_hz, np.full(250, 1e-6))
+    isolated = m.try_loop(feedforward, isolator, isolator_paths, ground, "FeRls", 0.1, mismatch)
     two = {"u": rows[:1, :20], "y": rows[1:2, :20]}
     impulse = {"force": noise((2, 128)), "response": noise((2, 128)), "rate": 100.0}
     return {
@@ -273,6 +274,7 @@ def catalogue() -> dict:
         "AdaptationStepper": (e.AdaptationStepper, {"settings": e.FeLms(), "weights": np.zeros((1, 3))}),
         "AdaptationStepper.update": (lambda regressor, error: e.AdaptationStepper(e.FeRls(1.0), np.zeros((1, 3))).update(regressor, error), {"regressor": rows[:, 0], "error": np.ones(1)}),
         "UnscentedKalman": (e.UnscentedKalman, fields(e.UnscentedKalman(plant))),
+        "AdaptationStepper.skip": (lambda regressor: e.AdaptationStepper(e.FeRls(1.0), np.zeros((1, 3))).skip(regressor), {"regressor": rows[:, 0]}),
         "UnscentedKalman.step": (e.UnscentedKalman(plant).step, {"state": e.UnscentedKalman(plant).start(0.1), "measured": 0.1, "force": 1.0, "sample_time": 1e-3}),
         "adapt": (e.adapt, {**lines, "errors": signal[None], "weights": np.zeros((1, 3))}),
         "identify": (e.identify, {**lines, "disturbance": signal[None], "weights": np.zeros((1, 3))}),
@@ -414,7 +416,12 @@ def catalogue() -> dict:
         "SlotineLi": (c.SlotineLi, fields(adaptive)),
         "regressor": (c.regressor, {"mechanism": arm, "position": np.zeros(2), "velocity": np.ones(2), "reference": np.ones(2), "acceleration": np.ones(2)}),
         "simulate_adaptive": (c.simulate_adaptive, {"plant": arm, "law": adaptive, "trajectories": [trajectory] * 2, "noise": 1e-6 * np.array([noise(100), noise(100)]), "start": np.zeros((2, 2)), "bound": 10.0, "disturbance": np.ones((2, 100)), "change": (0.05, np.array([3.0]))}),
-        "isolation_code": (m.isolation_code, {"loop": feedforward, "settings": isolated.settings, "weights": isolated.steady.weights, "limit": 50.0, "pause_s": 0.1, "name": "iso", "precision": "single"}),
+        "isolation_code": (m.isolation_code, {"loop": feedforward, "settings": isolated.settings, "weights": isolated.steady.weights, "guard": isolated.guard, "limit": 50.0, "pause_s": 0.1, "name": "iso", "precision": "single"}),
+        "Mismatch": (m.Mismatch, fields(mismatch)),
+        "Mismatch.loop_gain": (mismatch.loop_gain, {"level": 3.0, "time_constant": 2.0}),
+        "path_mismatch": (m.path_mismatch, {"paths": isolated.paths.seen}),
+        "slow_level": (m.slow_level, {"paths": isolated.paths.seen, "floor": ground, "sensor_noise": 1e-5, "steady": isolated.steady}),
+        "settling_time": (m.settling_time, {"design": isolated, "floor": ground}),
         "FeedforwardLoop": (m.FeedforwardLoop, fields(feedforward)),
         "FeedforwardLoop.responses": (feedforward.responses, dict(zip(("primary", "secondary", "frequencies_hz"), (*isolator_paths(lines_hz)[::2], lines_hz), strict=True))),
         "Isolator": (m.Isolator, fields(isolator)),
@@ -422,7 +429,7 @@ def catalogue() -> dict:
         "binned": (m.binned, {"f": lines_hz, "density": np.full((250, 1, 1), 1e-6 + 0j), "duration": 60.0, "source": "record.csv", "bursts": (1.0, 1.0)}),
         "floor_spectra": (m.floor_spectra, {"acceleration": noise((1, 600)), "sample_rate": 100.0, "source": "record.csv", "resolution_hz": 1.0, "slow_hz": 0.2}),
         "choose_beta": (m.choose_beta, {"loop": feedforward, "floor": ground}),
-        "try_loop": (m.try_loop, {"loop": feedforward, "isolator": isolator, "paths_of": isolator_paths, "floor": ground, "algorithm": "FeLms", "variance": 0.1, "step": 1e-4}),
+        "try_loop": (m.try_loop, {"loop": feedforward, "isolator": isolator, "paths_of": isolator_paths, "floor": ground, "algorithm": "FeLms", "variance": 0.1, "mismatch": mismatch, "step": 1e-4}),
         "design_isolation": (lambda **named: m.design_isolation(**named)[0], {"isolator": isolator, "floor": ground, "rate": 1000.0, "band_hz": (4.0, 60.0), "notches": (), "algorithm": "FeRls", "variance": 0.1, "spread": 0.01, "seed": 1}),
         "predict": (m.predict, {"design": isolated, "around": [isolated], "floor": ground, "seed": 1}),
         "weak_highpass": (c.weak_highpass, {"order": 3, "cutoff": 3.0, "times": 2, "sample_time": 1e-3}),

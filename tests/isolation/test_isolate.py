@@ -32,7 +32,7 @@ from stillwork.machine import replay as replay_module
 from stillwork.machine.c_code import FADE, isolation_code
 from stillwork.machine.inspect import inspect_file
 from stillwork.machine.isolate import isolate_file
-from stillwork.machine.isolation import POWERS, FeedforwardLoop, Isolator, encirclements, path_angle
+from stillwork.machine.isolation import POWERS, FeedforwardLoop, Isolator, Mismatch, encirclements, path_angle
 from stillwork.machine.isolation_design import (
     CUTOFFS_HZ,
     DRAWS,
@@ -57,6 +57,9 @@ def isolator_of(true):
         true.mass, true.damping, true.stiffness, true.floor, true.pole, true.late / true.rate,
         true.floor_noise, true.platform_noise,
     )  # fmt: skip
+
+
+TRUE_PATH = Mismatch(np.ones(1), np.zeros(1))
 
 
 def loop_of(isolator, gain=0.0):
@@ -175,16 +178,21 @@ def test_a_step_has_left_every_regressor_when_the_filters_have_settled(highpasse
 # --------------------------------------------------------------------------------------------------------------- the C
 
 
-def written(algorithm="FeRls", precision="double", axes=2, limit=1e9, **more):
+def written(
+    algorithm="FeRls", precision="double", axes=2, limit=1e9, delay=0, smoothing=0.0, guard=0.0, **more
+):
     true = draw_isolator(np.random.default_rng(5), axes, RATE)
-    loop = loop_of(isolator_of(true), 50.0)
+    loop = replace(loop_of(isolator_of(true), 50.0), path_delay=delay, smoothing=smoothing)
     regressors = (POWERS + 1) * true.floor.shape[1]
-    settings = FeRls(1e-2, 0.999, **more) if algorithm == "FeRls" else FeLms(1e-3, 1e-2, **more)
+    late = {"path_delay": loop.path_delay}
+    settings = (
+        FeRls(1e-2, 0.999, **late, **more) if algorithm == "FeRls" else FeLms(1e-3, 1e-2, **late, **more)
+    )
     weights = np.random.default_rng(6).standard_normal((axes, regressors))
     return (
         loop,
         weights,
-        isolation_code(loop, settings, weights, limit, 0.05, "iso", precision),
+        isolation_code(loop, settings, weights, guard * np.eye(regressors), limit, 0.05, "iso", precision),
         true.floor.shape[1],
     )
 
@@ -246,7 +254,7 @@ def test_the_written_filters_are_those_of_the_design(tmp_path, algorithm, precis
 def test_the_written_modified_error_is_that_of_its_equation_sample_by_sample(tmp_path, algorithm, delay):
     """scipy's filters, and the information matrix in place of the factors: no line of the library but the design's numbers."""
     more = {"growth_limit": np.inf} if algorithm == "FeRls" else {}
-    loop, weights, files, sensors = written(algorithm, path_delay=delay, **more)
+    loop, weights, files, sensors = written(algorithm, delay=delay, smoothing=0.02, **more)
     library = compiled(files, tmp_path, DRIVER)
     rng = np.random.default_rng(8)
     start = round(loop.settling * RATE)
@@ -262,16 +270,17 @@ def test_the_written_modified_error_is_that_of_its_equation_sample_by_sample(tmp
     for _ in range(POWERS):
         rows.append(signal.sosfilt(loop.integrator, rows[-1], axis=1))
     psi = np.vstack(rows)
-    learnt, sent = (signal.sosfilt(loop.noise_shaping, each, axis=1) for each in (psi, found + damping))
+    learnt, sent = (signal.sosfilt(loop.noise_shaping, each, axis=1) for each in (psi, found))
     before, modes, after = loop.error
     mixed = before @ platform
     errors = after @ np.array([signal.sosfilt(rows, row) for rows, row in zip(modes, mixed, strict=True)])
     step = adaptation.felms_step(1e-3, 1e-2)
     if algorithm == "FeRls":
         step = adaptation.ferls_step(1e-2 * np.eye(len(psi)), 0.999)
-    w, size = weights, np.abs(found).max()
+    w, smooth, size = weights, weights, np.abs(found).max()
     for k in range(first, first + 500):
-        assert np.abs(w @ psi[:, k] - damping[:, k] - found[:, k]).max() < 1e-7 * size
+        smooth = smooth + (1 - np.exp(-1 / (0.02 * RATE))) * (w - smooth)
+        assert np.abs(smooth @ psi[:, k] - damping[:, k] - found[:, k]).max() < 1e-7 * size
         w = step(w, learnt[:, k - delay], errors[:, k] - sent[:, k - delay] + w @ learnt[:, k - delay])
     assert np.abs((w - weights) @ psi).max() > 1e-3 * size  # it has learnt
 
@@ -309,15 +318,42 @@ def test_a_limit_and_missing_samples_freeze_the_weights_and_stored_ones_go_on(tm
     assert bad[:2] == pytest.approx(weights[:, 0])  # those of the design
 
 
+@pytest.mark.slow
+def test_the_weights_stay_while_the_floor_is_too_loud_to_learn_from(tmp_path):
+    """|G psi| > 1 by scipy's filters; from there on they are frozen until 50 ms after it, and then learn again."""
+    guard, (loop, _, _, sensors) = 0.03, written()
+    start = round(loop.settling * RATE)
+    first = start + round(FADE * start) + round(0.05 * RATE)
+    rng = np.random.default_rng(8)
+    floor, platform = (1e-3 * rng.standard_normal((rows, first + 6000)) for rows in (sensors, 2))
+    floor[:, first + 500 : first + 700] += 1.0  # a push
+    psi = signal.sosfilt(loop.highpass, floor, axis=1)
+    rows = [psi]
+    for _ in range(POWERS):
+        rows.append(psi := signal.sosfilt(loop.integrator, psi, axis=1))
+    loud = guard * np.linalg.norm(np.vstack(rows), axis=0) > 1
+    assert not loud[first : first + 500].any() and 10 < loud[first:].sum() < 5500
+    library = compiled(written(guard=guard)[2], tmp_path, DRIVER)
+    _, flags, _ = run(library, floor, platform, adapting=True)
+    assert np.array_equal(flags[first:] & 16 > 0, loud[first:])
+    held = np.convolve(loud, np.ones(round(0.05 * RATE)))[: len(loud)] > 0
+    assert np.array_equal(flags[first:] & 4 > 0, held[first:]) and flags[-1] == 0
+    _, _, before = run(library, floor[:, : first + 500], platform[:, : first + 500], adapting=True)
+    last = first + 500 + np.flatnonzero(loud[first + 500 :])[0]
+    _, _, early = run(library, floor[:, :last], platform[:, :last], adapting=True)
+    _, _, late = run(library, floor[:, : last + 20], platform[:, : last + 20], adapting=True)
+    assert np.array_equal(early, late) and not np.array_equal(before, early)
+
+
 @pytest.mark.skipif(
     not shutil.which("cppcheck"), reason="cppcheck is not installed: apt-get install cppcheck"
 )
 @pytest.mark.parametrize("axes", [1, 3, 6])
-@pytest.mark.parametrize("delay", [None, 2])
+@pytest.mark.parametrize("delay", [0, 2])
 @pytest.mark.parametrize("algorithm", ["FeRls", "FeLms"])
 def test_the_loop_is_written_without_warnings_and_within_misra(tmp_path, axes, algorithm, delay):
     """Rule 2.5 is of macros in a header that its source does not use: they are there for the user."""
-    *_, files, _ = written(algorithm, "single", axes, path_delay=delay)
+    *_, files, _ = written(algorithm, "single", axes, delay=delay)
     compiled(files, tmp_path, DRIVER)
     names = [name for name in files if name.endswith(".c")]
     checks = ["--std=c99", "--addon=misra", "--quiet", "--suppress=missingIncludeSystem"]
@@ -344,7 +380,7 @@ def judge(folder, true, density, seed=1, offset=0.0, promised=True):
     The floor sensors' `offset` (m/s^2) is added to the floor's acceleration. Commands stay below what was `promised`.
     """
     about = json.loads((folder / "isolator.json").read_text())
-    settle = 10 + 5 / (about["step"] * RATE)
+    settle = 10 + 5 * about["time_constant_s"]
     samples, first = round((settle + 60) * RATE), round(settle * RATE)
     floor = coloured(
         np.random.default_rng(seed), GRID, density, samples * FINE, RATE * FINE, true.floor.shape[1]
@@ -386,6 +422,34 @@ def test_no_microseism_that_is_let_pass_bursts_the_weights(tmp_path, machine, fl
     true = moved(nominal, rng, 0.05)
     low, high, found, without = judge(tmp_path / "out", true, density, offset=offset)
     assert np.all(low <= found) and np.all(found <= high) and np.all(found < 0.5 * without)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("machine", "axes"), [(11, 1), (12, 2)])
+def test_on_a_microseism_zero_weights_settle_in_the_time_that_is_stated(tmp_path, machine, axes):
+    """A floor with a thousand times its density at 0.18 Hz: seconds, where the published update needs minutes."""
+    rng = np.random.default_rng(machine)
+    nominal = draw_isolator(rng, axes, RATE)
+    (tmp_path / "m.toml").write_text(nominal.toml())
+    density = flat() + 1e3 * 2e-6 * np.exp(-0.5 * (np.log(GRID / 0.18) / 0.2) ** 2)
+    isolate_file(str(tmp_path / "m.toml"), write_floor(tmp_path, density), str(tmp_path / "out"), RATE)
+    about = json.loads((tmp_path / "out" / "isolator.json").read_text())
+    assert max(about["settling_s"]) < 100
+    true = moved(nominal, rng, 0.05)
+    lead = round(20 * RATE)  # of the filters
+    settled, judged = lead + round(1.2 * max(about["settling_s"]) * RATE), round(40 * RATE)
+    floor = coloured(
+        np.random.default_rng(1), GRID, density, (settled + judged) * FINE, RATE * FINE, true.floor.shape[1]
+    )
+    found = []
+    for forgets in (False, True):
+        loop = CompiledLoop(tmp_path / "out", "isolator")
+        if forgets:
+            loop.forget(about["weights"])
+        loop.run(true, floor[:, : settled * FINE], 1)
+        platform, _, _ = loop.run(true, floor[:, settled * FINE :], 2)
+        found.append(np.sum(band_rms(platform, RATE * FINE, *about["judged_hz"]) ** 2))
+    assert found[1] < 1.15 * found[0]
 
 
 @pytest.mark.slow
@@ -469,7 +533,7 @@ def test_an_accepted_limit_is_not_reached_on_the_record_itself(tmp_path):
         loop.run(template, np.tile(fine, (1, 2)), 1, mode == "adapting")
         platform, _, _ = loop.run(template, fine[None], 2, mode == "adapting")
         replayed = {name: about["replay"][name][mode] for name in ("peak", "minutes", "saturated")}
-        assert replayed["peak"] == pytest.approx([np.abs(loop.commands).max()], rel=0.06)  # of other noise
+        assert replayed["peak"] == pytest.approx([np.abs(loop.commands).max()], rel=0.1)  # of other noise
         lines, low_high = np.fft.rfft(platform[0]) / platform.size, about["judged_hz"]
         f = np.fft.rfftfreq(platform.size, 1 / (FINE * rate))
         found = np.sqrt(2 * np.sum(np.abs(lines[(f >= low_high[0]) & (f <= low_high[1])]) ** 2))
@@ -478,20 +542,19 @@ def test_an_accepted_limit_is_not_reached_on_the_record_itself(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("algorithm", "late", "path_delay"), [("FeRls", 1.4, 2), ("FeRls", 1.0, None), ("FeLms", 0.0, 0)]
-)
+@pytest.mark.parametrize(("algorithm", "late", "path_delay"), [("FeRls", 1.4, 2), ("FeLms", 0.0, 0)])
 def test_without_a_compiler_the_record_runs_through_the_same_loop(monkeypatch, algorithm, late, path_delay):
     """The compiled C and the kernel in Python: the same commands, weights and samples at the limit."""
     true = draw_isolator(np.random.default_rng(5), 2, RATE)
     isolator = replace(isolator_of(true), delay=late / RATE)
     record = coloured(np.random.default_rng(1), GRID, flat(), 12_000, RATE, isolator.sensors)
     floor = floor_spectra(record, RATE, "record")
-    loop = replace(loop_of(isolator, 50.0), cutoff_hz=2.0)
+    loop = replace(loop_of(isolator, 50.0), cutoff_hz=2.0, path_delay=path_delay)
     loop = replace(loop, beta=choose_beta(loop, floor))
-    design = try_loop(loop, isolator, paths_through(isolator, RATE), floor, algorithm, 1.0, 1e-3)
-    design = replace(design, settings=replace(design.settings, path_delay=path_delay))
-    files = isolation_code(loop, design.settings, design.steady.weights, 1e9, 0.05, "iso")
+    design = try_loop(loop, isolator, paths_through(isolator, RATE), floor, algorithm, 1.0, TRUE_PATH, 1e-3)
+    guard = np.linalg.cholesky(np.linalg.inv(design.steady.correlation)).T / 40  # of some of the record
+    design = replace(design, guard=guard)
+    files = isolation_code(design.loop, design.settings, design.steady.weights, guard, 1e9, 0.05, "iso")
 
     def both(limit):
         return replay_module.replay(design, files, "iso", limit, 0.05, floor, (1.0, 100.0))
@@ -503,6 +566,7 @@ def test_without_a_compiler_the_record_runs_through_the_same_loop(monkeypatch, a
     runs += [both(np.inf), both(limit)]
     for in_c, kernel in zip(runs[:2], runs[2:], strict=True):
         assert in_c.ran != kernel.ran and in_c.saturated == kernel.saturated
+        assert 0 < in_c.kept == kernel.kept < 0.5
         assert kernel.motion == pytest.approx(in_c.motion, rel=1e-5)
         assert kernel.peak == pytest.approx(in_c.peak, rel=1e-5)
         assert kernel.noise == pytest.approx(in_c.noise, rel=1e-5)
@@ -511,18 +575,21 @@ def test_without_a_compiler_the_record_runs_through_the_same_loop(monkeypatch, a
 
 
 @pytest.mark.slow
-def test_slow_motion_that_is_refused_would_have_broken_the_loop(tmp_path, monkeypatch):
-    """Let pass, with the time constant that the band alone asks for, the weights run away."""
+def test_slow_motion_that_is_not_let_pass_would_have_broken_the_loop(tmp_path, monkeypatch):
+    """At twenty times the certificate's limit the weights run away; as designed they hold through gusts and pushes, too."""
     true = draw_isolator(np.random.default_rng(0), 1, RATE)
     (tmp_path / "m.toml").write_text(true.toml())
-    floor = write_floor(tmp_path, 0.05 * flat(3e4))
-    with pytest.raises(InputError, match="slow motion"):
-        isolate_file(str(tmp_path / "m.toml"), floor, str(tmp_path / "out"), RATE)
-    monkeypatch.setattr(isolation_design, "RED_LIMIT", 1e9)
+    density = 0.05 * flat(3e4)
+    floor = write_floor(tmp_path, density)
+    isolate_file(str(tmp_path / "m.toml"), floor, str(tmp_path / "out"), RATE)
+    _, high, found, without = judge(tmp_path / "out", true, density)
+    assert np.all(found <= high) and np.all(found < without)
+    monkeypatch.setattr(isolation_design, "LIMIT", 20.0)
     monkeypatch.setattr(isolation_design, "JITTER", 0.0)
-    isolate_file(str(tmp_path / "m.toml"), floor, str(tmp_path / "out"), RATE, variance=1.0)
-    _, high, found, _ = judge(tmp_path / "out", true, 0.05 * flat(3e4), promised=False)
-    assert not np.all(found <= 3 * high)  # nor where they are no numbers any more
+    monkeypatch.setattr(isolation_design, "PERIODS", 0.01)
+    isolate_file(str(tmp_path / "m.toml"), floor, str(tmp_path / "broken"), RATE, variance=1.0)
+    _, _, broken, _ = judge(tmp_path / "broken", true, density, promised=False)
+    assert not np.all(broken <= 10 * found)  # nor where they are no numbers any more
 
 
 @pytest.mark.parametrize(

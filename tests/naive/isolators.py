@@ -224,6 +224,18 @@ class CompiledLoop:
         getattr(self.library, f"{name}_start")(self.state)
         self.done = 0
 
+    def forget(self, weights):
+        """Start again with zero in place of `weights`, and the covariance of the design."""
+        axes, regressors = np.shape(weights)
+        stored = np.zeros(axes * regressors + regressors * (regressors + 1) // 2)
+        given = stored.ctypes.data_as(ctypes.c_void_p)
+        getattr(self.library, f"{self.name}_store")(self.state, given)
+        place = 0
+        for regressor in range(regressors):
+            stored[place : place + axes] = 0
+            place += axes + regressor + 1
+        assert getattr(self.library, f"{self.name}_restore")(self.state, given)
+
     def run(self, machine: TrueIsolator, floor, seed, adapting=True):
         """Platform acceleration at every step of the plant, weights and all flags; plant and loop go on where they were.
 

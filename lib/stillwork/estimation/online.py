@@ -257,18 +257,9 @@ class AdaptationStepper:
         >>> stepper.update([2.0], [1.0]).round(3)
         array([[-0.5]])
         """
-        actuators, n = self.weights.shape
-        regressor = require_array("regressor", regressor, shape=(n,))
-        error = require_array("error", error, shape=(actuators,))
-        late = self._late
-        if (command is None) != (self.settings.path_delay is None):
-            raise InputError(
-                "command is N[u] of the modified error; give it with a path_delay, and only then"
-            )
-        if command is not None:
-            late = [*late, (regressor, require_array("command", command, shape=(actuators,)))]
-            regressor, sent = late.pop(0)
-            error = error - sent
+        error = require_array("error", error, shape=self.weights.shape[:1])
+        regressor, sent, *late = self._with(regressor, command)
+        error = error - sent
         stopped, definite, weights, recursion = self._step(regressor, error)
         if not definite:
             raise _not_definite(self.samples)
@@ -277,6 +268,43 @@ class AdaptationStepper:
         self.weights, self.recursion, self._late = weights, recursion, late
         self.samples += 1
         return weights.copy()
+
+    def skip(self, regressor: ArrayLike, command: ArrayLike | None = None) -> None:
+        """Pass a sample in which the weights stay, as while a force is cut off or the floor is too loud to learn from.
+
+        Parameters
+        ----------
+        regressor, command : array_like
+            As of `update`.
+
+        Raises
+        ------
+        InputError
+            As of `update`.
+
+        Examples
+        --------
+        >>> stepper = estimation.AdaptationStepper(estimation.FeLms(1.0, path_delay=1), [[0.0]])
+        >>> stepper.skip([2.0], [0.0])  # the next update is of this sample's regressor
+        >>> stepper.update([0.0], [1.0], [0.0]).round(3)
+        array([[-0.5]])
+        """
+        self._late = list(self._with(regressor, command)[2:])
+        self.samples += 1
+
+    def _with(self, regressor, command):
+        """psi_N and N[u] of now, and those kept, the oldest first."""
+        actuators, n = self.weights.shape
+        regressor = require_array("regressor", regressor, shape=(n,))
+        if (command is None) != (self.settings.path_delay is None):
+            raise InputError(
+                "command is N[u] of the modified error; give it with a path_delay, and only then"
+            )
+        sent = (
+            np.zeros(actuators) if command is None else require_array("command", command, shape=(actuators,))
+        )
+        kept = [*self._late, (regressor, sent)]
+        return kept[0][0], kept[0][1], *kept[1:]
 
     def _step(self, regressor, error):
         # whether the sample was taken in, whether P is definite, weights and recursion after it

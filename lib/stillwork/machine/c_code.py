@@ -304,6 +304,7 @@ def isolation_code(
     loop: FeedforwardLoop,
     settings: FeLms | FeRls,
     weights: Float64[np.ndarray, "axes regressors"],
+    guard: Float64[np.ndarray, "regressors regressors"],
     limit: Annotated[float, _limit],
     pause_s: NonNegative,
     name: str,
@@ -319,13 +320,15 @@ def isolation_code(
     ----------
     loop : FeedforwardLoop
     settings : FeLms or FeRls
-        Of the adaptation.
+        Of the adaptation, with the `path_delay` of the loop.
     weights : ndarray, shape (axes, regressors)
         Initial weights.
+    guard : ndarray, shape (regressors, regressors)
+        G, upper triangular: the weights are kept while |G psi| > 1, and for a pause after it.
     limit : float
         Of each command, N.
     pause_s : float
-        Time, s, for which the weights are frozen after the limit acted; at the start until the feedforward, which
+        Time, s, for which the weights are frozen after the limit or the guard acted; at the start until the feedforward, which
         gives no force before the floor sensors' filters have settled (`FeedforwardLoop.settling`), is at full strength.
     name, precision : str
         See `controller_code`.
@@ -337,8 +340,12 @@ def isolation_code(
     Raises
     ------
     InputError
-        When `name` is no name in C.
+        When `name` is no name in C, or the settings have another path's delay.
     """
+    if settings.path_delay != loop.path_delay:
+        raise InputError(
+            f"settings.path_delay is {settings.path_delay}; give that of the loop, {loop.path_delay}"
+        )
     write, wide = Numbers(name, precision), Numbers(name, "double")
     axes, sensors = loop.estimate.axes, loop.estimate.sensors
     regressors = sensors * (POWERS + 1)
@@ -372,8 +379,10 @@ def isolation_code(
         "highpass_sections": len(loop.highpass),
         "error_sections": modes.shape[1],
         "weights": _rows(write, weights),
+        "smooth": repr(loop.smooth),
         "before": _rows(wide, before),
         "after": _rows(wide, after),
+        "level": _rows(wide, np.triu(guard)),
         "modes": _lines("{" + _rows(wide, np.delete(mode, 3, axis=1)).strip() + "}," for mode in modes),
         **{
             each: _rows(wide, np.delete(getattr(loop, kind), 3, axis=1))
@@ -385,8 +394,7 @@ def isolation_code(
             )
         },
     }
-    modified = settings.path_delay is not None
-    marks = {"r": recursive, "m": modified, "p": not modified}
+    marks = {"r": recursive}
     return write.files("isolation", name, values, marks) | adaptation_code(
         settings, axes, regressors, f"{name}_adapt", precision
     )

@@ -32,12 +32,14 @@ from stillwork.machine.isolation_design import (
     DRAWS,
     HIGHEST_PHASE,
     HIGHEST_SENSITIVITY_DB,
-    RED_LIMIT,
+    LIMIT,
     SLOWEST,
+    WITHIN,
     IsolationDesign,
     binned,
     design_isolation,
     floor_spectra,
+    settling_time,
 )
 from stillwork.machine.isolation_prediction import IsolationPrediction, predict
 from stillwork.machine.machine_toml import open_machine_toml
@@ -147,10 +149,11 @@ def isolate_file(
     found = predict(design, around, spectra, correction)
     pause = PAUSES / (2 * np.pi * design.loop.shaping.highpass_hz)
     weights = design.steady.weights
-    files = isolation_code(design.loop, design.settings, weights, limit, pause, name, precision)
+    files = isolation_code(design.loop, design.settings, weights, design.guard, limit, pause, name, precision)
     run = None
     if spectra.record is not None:
         run = replay(design, files, name, limit, pause, spectra, found.band_hz)
+    settling = [settling_time(each, spectra) for each in (design, *around)]
     require_force(found, limit, 0.0 if run is None else run.noise)
     if run:
         require_kept(run, found)
@@ -160,22 +163,34 @@ def isolate_file(
         "floor": spectra.source,
         "rate_hz": rate,
     } | _record_of(design, found)
+    about["settling_s"] = [settling[0], max(settling)]
     if run:
         about["replay"] = run.record()
     files[f"{name}.json"] = json.dumps(about, indent=1, allow_nan=False) + "\n"
     write_folder(folder, files)  # before the page: what was computed is not lost with a picture
     facts = [
         *facts_of(design, found, spectra),
+        [
+            "settling from zero weights",
+            f"to {WITHIN:g} times the power of what remains: {settling[0]:.3g} s, in the box at most {max(settling):.3g} s",
+        ],
         ["limit of each force", f"{limit:g} N" if np.isfinite(limit) else "none: give --limit"],
         *(["assumed", each] for each in (*notes, *floor_notes)),
         *(["check the floor", each] for each in seen),
     ]
-    answer = _answer(f"{Path(machine).name} on {spectra.source}", design, found, spectra, spread)
+    answer = _answer(
+        f"{Path(machine).name} on {spectra.source}", design, found, spectra, spread, max(settling)
+    )
     given = {
         "answer": "".join(f"<p>{html.escape(line)}</p>" for line in answer),
         "budget": _budget_link(machine, floor, folder) if isolator.axes == isolator.sensors == 1 else "",
     }
-    given |= {"source": html.escape(Path(machine).name), "spread": f"{100 * spread:g}", "name": name}
+    given |= {
+        "source": html.escape(Path(machine).name),
+        "spread": f"{100 * spread:g}",
+        "name": name,
+        "guard": name.upper(),
+    }
     given |= {"replay": _replayed(run, found, limit), "files": html.escape(", ".join(sorted(files)))}
     text = _report(design, around, found, spectra, facts, **given)
     (Path(folder) / "report.html").write_text(text, encoding="utf-8")
@@ -197,14 +212,20 @@ def _budget_link(machine: str, floor: str, folder: str) -> str:
 
 
 def _answer(
-    source: str, design: IsolationDesign, found: IsolationPrediction, spectra: FloorSpectra, spread: float
+    source: str,
+    design: IsolationDesign,
+    found: IsolationPrediction,
+    spectra: FloorSpectra,
+    spread: float,
+    settling: float,
 ) -> list[str]:
     """What was chosen and what it promises, one line each."""
     loop, rows = design.loop, remains_rows(found, spectra)
     columns = [", ".join(row[k] for row in rows) for k in (1, 4, 5, 6)]
     return [
         f"{source}: {type(design.settings).__name__} at {loop.shaping.highpass_hz:.3g} to {loop.shaping.lowpass_hz:.4g} Hz with a "
-        f"time constant of {design.time_constant:.3g} s, a skyhook of {loop.gain:.3g} N s/m",
+        f"time constant of {design.time_constant:.3g} s, settled from zero weights in {settling:.3g} s at most, and a skyhook of "
+        f"{loop.gain:.3g} N s/m",
         f"it leaves at most {columns[2]} m/s^2 rms (at least {columns[1]}; {columns[0]} without control) at {found.band_hz[0]:g} to "
         f"{found.band_hz[1]:.4g} Hz, anywhere within {100 * spread:g} %: {columns[3]}; the largest command is "
         f"{_listed(found.force[2])} N",
@@ -229,6 +250,9 @@ def _record_of(design: IsolationDesign, found: IsolationPrediction) -> dict:
         "band_hz": [loop.shaping.highpass_hz, loop.shaping.lowpass_hz],
         "algorithm": type(design.settings).__name__,
         "step": design.step,
+        "time_constant_s": design.time_constant,
+        "smoothing_s": loop.smoothing,
+        "path_delay": loop.path_delay,
         "weights": design.steady.weights.tolist(),
         "judged_hz": list(found.band_hz),
         "remains": found.remains.tolist(),
@@ -269,7 +293,8 @@ def _replayed(run: Replay | None, found: IsolationPrediction, limit: float) -> s
     return (
         f"<h2>The record, run through the loop</h2>\n<p>{run.ran}, around the isolator as given, from settled filters on and "
         f"with noise at its sensors. Largest command: {_listed(run.peak[0].max(axis=1))} N with frozen weights, "
-        f"{_listed(run.peak[1].max(axis=1))} N adapting; {saturated}. Each minute (rms, m/s<sup>2</sup>, of every axis):</p>\n"
+        f"{_listed(run.peak[1].max(axis=1))} N adapting; {saturated}. The floor was too loud to learn from in "
+        f"{100 * run.kept:.2g} % of the time. Each minute (rms, m/s<sup>2</sup>, of every axis):</p>\n"
         + table(["minute", "without control", "frozen", "adapting"], replay_rows(run))
         + picture(paint_replay(run, found, limit), "motion and command over the record")
     )
@@ -293,7 +318,9 @@ def facts_of(design: IsolationDesign, found: IsolationPrediction, spectra: Floor
         ["band", f"{loop.shaping.highpass_hz:.3g} to {loop.shaping.lowpass_hz:.4g} Hz"],
         [
             "adaptation",
-            f"{algorithm}, {_step(design, algorithm)}, time constant {design.time_constant:.3g} s",
+            f"{algorithm} of the modified filtered error, path {pluralise(loop.path_delay, 'sample')} late, "
+            f"{_step(design, algorithm)}, time constant {design.time_constant:.3g} s; a low-pass of {loop.smoothing:.2g} s from "
+            "the weights to the command",
         ],
         [
             "scatter of the weights",
@@ -557,7 +584,7 @@ def certificate_rows(design: IsolationDesign, around: list[IsolationDesign]) -> 
     """Each quantity of the certificate: as designed, worst over the box, and its limit."""
     own, box = design.certificate, [each.certificate for each in around]
     phase = max(box, key=lambda each: each.phase_deg)
-    red = max(each.red for each in box)
+    slow = max(each.slow for each in box)
     lowest = SLOWEST if isinstance(design.settings, FeRls) else 0.0
     return [
         [
@@ -579,10 +606,10 @@ def certificate_rows(design: IsolationDesign, around: list[IsolationDesign]) -> 
             f"{HIGHEST_SENSITIVITY_DB:g}",
         ],
         [
-            "slow motion of the floor over that in band",
-            f"{own.red:.3g} (could be {RED_LIMIT / own.red:.3g} times larger)",
-            f"{red:.3g}",
-            f"{RED_LIMIT:g}",
+            "gain of the floor's slow motion through what the error does not know of the path",
+            f"{own.slow:.3g} (could be {LIMIT / own.slow:.3g} times larger)",
+            f"{slow:.3g}",
+            f"{LIMIT:g}",
         ],
     ]
 

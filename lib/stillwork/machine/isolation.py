@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Complex128, Float64
 from scipy import linalg, signal, special
 
-from stillwork.base.bounds import Count, NonNegative, Positive
+from stillwork.base.bounds import Count, Natural, NonNegative, Positive
 from stillwork.base.checks import InputError, require_array, require_number
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.control.isolation_filters import (
@@ -30,6 +30,7 @@ IMAGES = 20  # of a sampled response at multiples of the rate, on either side
 # Of a step, that counts as nothing: an offset may be a million times the motion in band (chosen).
 SETTLED = 1e-8
 ORDER, POWERS = 3, 2  # of the weak integrator, and how often it is applied
+SMOOTHING = 5.0  # time constant of the adaptation over that of the smoothing (chosen)
 
 
 @by_value
@@ -125,6 +126,9 @@ class FeedforwardLoop:
     estimate: Isolator  # what the path is taken for
     # Of the floor sensors, one after another: slow motion and offsets are no regressors.
     highpasses: Count = 1
+    path_delay: Natural = 0  # samples from a command to its filtered error
+    # s: of a first-order low-pass that the weights pass on their way to the command; the error takes off what was sent
+    smoothing: NonNegative = 0.0
 
     def __post_init__(self):
         check_fields(self)
@@ -144,6 +148,11 @@ class FeedforwardLoop:
         mean = float(np.exp(np.mean(np.log(omega))))
         own = float(np.trace(self.estimate.damping) / self.estimate.axes) + self.gain
         return SecondaryPath(mass, max(own, 0.1 * mass * mean), mass * mean**2, self.estimate.actuator_pole)
+
+    @property
+    def smooth(self) -> float:
+        """Share of their distance from the adapted weights by which those of the command follow them each sample."""
+        return 1.0 if self.smoothing == 0 else float(-np.expm1(-self.sample_time / self.smoothing))
 
     @cached_property
     def integrator(self) -> np.ndarray:
@@ -176,10 +185,13 @@ class FeedforwardLoop:
 
     @cached_property
     def error(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """N P2hat^-1 = after · sections of each mode · before: (axes, axes), (axes, sections, 6), (axes, axes)."""
+        """N P2hat^-1 without the skyhook, after · sections of each mode · before: (axes, axes), (axes, sections, 6), (axes, axes).
+
+        The modified error takes N of the whole command off it, which takes the skyhook's part out as the controller made it.
+        """
         estimate = self.estimate
         omega, shapes = estimate.modes
-        damping = np.diag(shapes.T @ (estimate.damping + self.gain * np.eye(estimate.axes)) @ shapes)
+        damping = np.diag(shapes.T @ estimate.damping @ shapes)
         sections = [
             inverse_secondary_shaping(
                 self.shaping,
@@ -198,7 +210,11 @@ class FeedforwardLoop:
         secondary: Complex128[np.ndarray, "frequencies axes axes"],
         frequencies_hz: Float64[np.ndarray, " frequencies"],
     ) -> Responses:
-        """Responses of the loop for paths that do not include the skyhook yet."""
+        """Responses of the loop for paths that do not include the skyhook yet.
+
+        Of weights that stay the modified error is N P2hat^-1 a1 + N z^-d K a1, with K the skyhook and d the path's delay, and its
+        regressors are z^-d N psi.
+        """
         f, sensors = frequencies_hz, primary.shape[2]
         if not ((f > 0) & (f < self.rate / 2)).all():
             raise InputError(f"frequencies_hz must lie above 0 and below {self.rate / 2:g} Hz, half the rate")
@@ -210,14 +226,16 @@ class FeedforwardLoop:
         stack = highpass[:, None] * integrator[:, None] ** np.arange(POWERS + 1)
         before, sections, after = self.error
         each = np.stack([signal.freqz_sos(rows, f, fs=self.rate)[1] for rows in sections], axis=1)
+        late = shaping * np.exp(-2j * np.pi * f * self.path_delay / self.rate)
+        skyhook = (late * damping)[:, None, None] * np.eye(secondary.shape[1])
         return Responses(
             frequencies_hz=f,
             primary=sensitivity @ primary,
             secondary=sensitivity @ secondary,
             sensitivity=sensitivity,
             regressors=(stack[:, :, None, None] * np.eye(sensors)).reshape(len(f), -1, sensors),
-            shaping=shaping,
-            error=(after * each[:, None, :]) @ before,
+            shaping=late,
+            error=(after * each[:, None, :]) @ before + skyhook,
             conditioning=np.ones(len(f), complex),
         )
 
@@ -254,7 +272,7 @@ class Certificate:
     phase_hz: float
     sensitivity_db: float  # largest of the skyhook loop
     slowest: float  # smallest real part of the mean update's eigenvalues: of R^-1 A, or of A over its trace
-    red: float  # slow motion over motion in band, per memory; see `red_number`
+    slow: float  # slow level of the floor times the path's mismatch over the memory; see `path_mismatch`
     problems: tuple[str, ...]
 
 
@@ -279,19 +297,40 @@ def encirclements(loop: Complex128[np.ndarray, "frequencies axes axes"]) -> int:
     return int(np.rint((turned[-1] - turned[0]) / np.pi))
 
 
-@checked
-def red_number(
-    paths: Responses, floor: FloorSpectra, sensor_noise: NonNegative, steady: Steady, low_hz: Positive
-) -> float:
-    """Slow motion over motion in the band: if large, the adaptation diverges although its mean converges.
+@by_value
+@dataclass(frozen=True)
+class Mismatch:
+    """What of a command the modified error takes wrongly, largest in a box of paths: |N P2hat^-1 P2 - N z^-d|, 1/kg.
 
-    Slow motion reaches the command through the weak integrators and not the filtered error, but weights that move by
-    chance carry it into the band. Of ``dv = -(step C psi_N psi') v`` the coefficient has the size
-    sqrt(largest eigenvalue of R^-1 E[psi psi']) a time constant of the adaptation; here it is given per radian of the
-    band's lower end, for a time constant of one second.
+    Weights that move by chance carry slow motion into the band. The modified error knows what was sent, and takes its effect
+    off but for this mismatch D, through which that motion feeds itself.
     """
+
+    frequencies_hz: Float64[np.ndarray, " frequencies"]
+    size: Float64[np.ndarray, " frequencies"]
+
+    @checked
+    def loop_gain(self, level: NonNegative, time_constant: Positive) -> float:
+        """Largest gain over the frequencies w of dv = -(step R^-1 psi_N D[psi' v]) at a `level` sqrt(psi' R^-1 psi).
+
+        It is level |D(w)| / w a time constant of the adaptation, with the weights smoothed before they act.
+        """
+        w = 2 * np.pi * self.frequencies_hz
+        smoothed = np.hypot(1.0, w * time_constant / SMOOTHING)
+        return float(level / time_constant * np.max(self.size / (w * smoothed)))
+
+
+@checked
+def path_mismatch(paths: Responses) -> Float64[np.ndarray, " frequencies"]:
+    """`Mismatch.size` of one path."""
+    off = paths.error @ paths.secondary - paths.shaping[:, None, None] * np.eye(paths.secondary.shape[2])
+    return np.linalg.norm(off, 2, axis=(1, 2))
+
+
+@checked
+def slow_level(paths: Responses, floor: FloorSpectra, sensor_noise: NonNegative, steady: Steady) -> float:
+    """Rms of sqrt(psi' R^-1 psi), with R = E[psi_N psi_N']: how much larger the regressors are than within the band."""
     seen = floor.density + sensor_noise**2 * np.eye(floor.density.shape[1])
     psi = paths.regressors
     whole = np.einsum("f,fis,fst,fjt->ij", floor.widths_hz, psi, seen, np.conj(psi), optimize=True).real
-    largest = linalg.eigh(whole, steady.correlation, eigvals_only=True)[-1]
-    return float(np.sqrt(largest) / (2 * np.pi * low_hz))
+    return float(np.sqrt(np.trace(np.linalg.solve(steady.correlation, whole))))

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import numpy as np
 from jaxtyping import Complex128, Float64
-from scipy import signal
+from scipy import linalg, optimize, signal
 
 from stillwork.base.bounds import Natural, Positive, one_of, within
 from stillwork.base.checks import InputError, require_array
@@ -24,21 +24,26 @@ from stillwork.estimation.mean_adaptation import (
     sum_kronecker,
 )
 from stillwork.machine.isolation import (
+    SMOOTHING,
     Certificate,
     FeedforwardLoop,
     FloorSpectra,
     Isolator,
+    Mismatch,
     encirclements,
     path_angle,
-    red_number,
+    path_mismatch,
+    slow_level,
 )
 
 HIGHEST_SENSITIVITY_DB = 6.0  # of the skyhook loop
 HIGHEST_PHASE = 90.0  # degrees
 SLOWEST = 0.1  # of the mean update's eigenvalues, of FeRLS: a mode takes ten time constants at most
-# See `red_number`: chosen after random isolators on floors with microseism and drift were driven to where they break. The
-# weights ran away at 4.3 and 6, scattered beyond the promised band at 3, and not at this.
-RED_LIMIT = 0.7
+# Of `Mismatch.loop_gain` at CREST times the slow level's rms: chosen on four random isolators on a microseism, with paths in
+# their box, driven to where they break. None ran away at 2, and some at 4.
+LIMIT, CREST = 1.0, 3.0
+WITHIN = 1.1  # power of the remaining motion, over that once settled, at which weights count as settled
+FASTER = 1.05  # between time constants that are tried
 PERIODS = 10.0  # of the band's lower end that a time constant holds for each regressor: fewer leave R unknown
 # How much more than expected weights may move within the band: seen up to 7 times, with a lightly damped mode under
 # footfalls.
@@ -49,9 +54,10 @@ LOW_SHARE, HIGH_SHARE = 0.4, 8.0  # of the lowest and the highest mode, where th
 TRUSTED_PHASE = 50.0  # degrees of the path's error at the band's upper end
 CUTOFFS_HZ = (0.5, 1.0, 2.0, 3.0, 4.5)  # of the weak integrators, tried
 HIGHPASSES = (1, 2, 3)  # of the floor sensors, tried
+LATER = 4  # samples of delay that are tried beyond the isolator's own
 EVEN = 10.0  # regularisation of FeLMS over the power of the regressors: an even step but for bursts
 ALIKE = 1.2  # of the least power of the remaining motion: up to there the fastest adaptation is taken
-LONGEST_S = 300.0  # largest time constant considered
+LONGEST_S, BEYOND_S = 300.0, 1e6  # largest time constant considered, and sought for a message
 SEGMENTS = 4  # of a record, half overlapping, that the finest lines average over at least
 COARSE = 4  # of the coarse lines, which give way to fine ones
 BURST_S = 0.5  # of a stretch of a record whose power counts
@@ -171,6 +177,9 @@ class IsolationDesign:
     variance: float  # share by which weights that move raise the remaining motion's power, expected
     certificate: Certificate
     motion: float  # mean square of the remaining acceleration of all axes with it, (m/s^2)^2
+    mismatch: Mismatch
+    # G: the weights are kept while |G psi| > 1, where slow motion is larger than the mismatch lets them follow
+    guard: Float64[np.ndarray, "regressors regressors"]
 
     def __post_init__(self):
         check_fields(self)
@@ -184,6 +193,7 @@ def try_loop(
     floor: FloorSpectra,
     algorithm: Annotated[str, one_of(ALGORITHMS)],
     variance: Positive,
+    mismatch: Mismatch,
     step: Positive | None = None,
 ) -> IsolationDesign:
     """A loop with the fastest adaptation that keeps the `variance` and tolerates the floor's slow motion, or with `step`."""
@@ -195,26 +205,31 @@ def try_loop(
     power = float(np.trace(steady.correlation))
     # Of FeLMS the fastest direction sees the largest share of the regressors' power a step.
     share = 1.0 if algorithm == "FeRls" else float(np.linalg.eigvalsh(steady.correlation)[-1]) / power
-    red = red_number(responses, floor, noises[0], steady, loop.shaping.highpass_hz)
+    level = CREST * slow_level(responses, floor, noises[0], steady)
     inside = (f >= LOWEST_HZ) & (f <= loop.shaping.lowpass_hz)
     left = motion_density(moving, steady.weights, floor, noises)
     motion = float((left * widths)[:, inside].sum())
     moves = None
     if step is None:
         moves = scatter(responses, steady, widths, floor.density, *noises, loop.rate, algorithm)
-        slow, fast = _added_motion(responses, moves, floor, noises[0], loop.rate, inside)
-        # slow step + fast step^2 = variance motion
-        fastest = 2 * variance * motion / (slow + np.sqrt(slow**2 + 4 * fast * variance * motion))
+        added = _added_motion(responses, moves, floor, noises[0], loop.rate, inside, share)
         known = PERIODS * len(steady.correlation) / loop.shaping.highpass_hz
-        slowest = max(1 / (fastest * share * loop.rate), known, red / RED_LIMIT)
+        slowest = known
+        while slowest < BEYOND_S and not (
+            added(slowest) <= variance * motion and mismatch.loop_gain(level, slowest) <= LIMIT
+        ):
+            slowest *= FASTER
         step = 1 / (slowest * share * loop.rate)
     time_constant = 1 / (step * share * loop.rate)
+    loop = replace(loop, smoothing=time_constant / SMOOTHING)
     if algorithm == "FeRls":
         covariance = step * np.linalg.inv(steady.correlation)
-        settings: FeLms | FeRls = FeRls((covariance + covariance.T) / 2, forgetting=1 - step)
+        settings: FeLms | FeRls = FeRls(
+            (covariance + covariance.T) / 2, forgetting=1 - step, path_delay=loop.path_delay
+        )
     else:
-        settings = FeLms(step * (1 + EVEN), EVEN * power)
-    added = 0.0 if moves is None else step * slow + step**2 * fast
+        settings = FeLms(step * (1 + EVEN), EVEN * power, path_delay=loop.path_delay)
+    more = 0.0 if moves is None else added(time_constant)
     return IsolationDesign(
         loop=loop,
         isolator=isolator,
@@ -224,16 +239,21 @@ def try_loop(
         scatter=moves,
         settings=settings,
         time_constant=float(time_constant),
-        variance=float(added / motion),
-        certificate=_certify(loop, responses, paths_of, steady, algorithm, red / time_constant),
-        motion=float(motion + added),
+        variance=float(more / motion),
+        certificate=_certify(
+            loop, responses, paths_of, steady, algorithm, mismatch.loop_gain(level, time_constant)
+        ),
+        motion=float(motion + more),
+        mismatch=mismatch,
+        guard=np.linalg.cholesky(np.linalg.inv(steady.correlation)).T
+        * mismatch.loop_gain(1 / LIMIT, time_constant),
     )
 
 
 def _added_motion(
-    paths, moves: Scatter, floor: FloorSpectra, sensor_noise, rate, inside
-) -> tuple[float, float]:
-    """Power that moving weights add, per step and per step squared.
+    paths, moves: Scatter, floor: FloorSpectra, sensor_noise, rate, inside, share
+) -> Callable[[float], float]:
+    """Power that moving weights add, by the time constant.
 
     Per step as the weights wander from the fixed point; per step squared as they move within the band, where they carry
     the regressors' slow power into it and resonances that the filtered error does not show are struck.
@@ -246,8 +266,41 @@ def _added_motion(
     slow = np.sum(sum_kronecker(driven[inside], plain[inside]) * moves.covariance)
     force = jitter_density(moves, plain.sum(axis=0).real, rate)
     f = paths.frequencies_hz
-    fast = np.sum(driven.real * force * widths / f[:, None, None] ** 2, where=inside[:, None, None])
-    return float(floor.bursts[0] * slow), float(JITTER * floor.bursts[1] * fast)
+    fast = np.sum(driven.real * force * widths / f[:, None, None] ** 2, axis=(1, 2))[inside]
+    f = f[inside]
+
+    def added(time_constant):
+        step = 1 / (time_constant * share * rate)
+        smooth = 1 + (2 * np.pi * f * time_constant / SMOOTHING) ** 2
+        return float(
+            floor.bursts[0] * slow * step + JITTER * floor.bursts[1] * np.sum(fast / smooth) * step**2
+        )
+
+    return added
+
+
+@checked
+def settling_time(design: IsolationDesign, floor: FloorSpectra) -> float:
+    """Time (s) in which the mean of the weights goes from zero to where the remaining motion has `WITHIN` more than its power."""
+    steady, rate = design.steady, design.step * design.loop.rate
+    recursive = isinstance(design.settings, FeRls)
+    one = np.eye(len(steady.weights))
+    scale = np.kron(one, np.linalg.inv(steady.correlation)) if recursive else 1 / np.trace(steady.correlation)
+    moves = scale @ steady.update if recursive else scale * steady.update
+    noises = design.isolator.floor_noise, design.isolator.platform_noise
+    inside = (floor.frequencies_hz >= LOWEST_HZ) & (floor.frequencies_hz <= design.loop.shaping.lowpass_hz)
+
+    def more(time: float) -> float:
+        left = (linalg.expm(-moves * rate * time) @ steady.weights.ravel()).reshape(steady.weights.shape)
+        power = motion_density(design.paths, steady.weights - left, floor, noises)
+        return float((power * floor.widths_hz)[:, inside].sum()) - WITHIN * design.motion
+
+    longest = 1e3 * design.time_constant
+    if more(0.0) <= 0:
+        return 0.0
+    if more(longest) > 0:
+        return longest
+    return float(optimize.brentq(more, 0.0, longest, rtol=1e-3)) + design.loop.smoothing
 
 
 def jitter_density(moves: Scatter, power: np.ndarray, rate: float) -> Float64[np.ndarray, "axes axes"]:
@@ -329,7 +382,7 @@ def density_through(floor: FloorSpectra, noises: tuple[float, float], whole, *se
 
 
 def _certify(
-    loop: FeedforwardLoop, responses: Responses, paths_of: Paths, steady: Steady, algorithm: str, red: float
+    loop: FeedforwardLoop, responses: Responses, paths_of: Paths, steady: Steady, algorithm: str, slow: float
 ) -> Certificate:
     """Whether an adaptation may be switched on, from the loop's responses on the floor's frequencies and on a fine grid."""
     f = responses.frequencies_hz
@@ -356,12 +409,12 @@ def _certify(
         problems.append(
             f"the mean of the weights does not converge: its update has an eigenvalue of {slowest:.2g}"
         )
-    if red > RED_LIMIT * (1 + 1e-9):
+    if slow > LIMIT * (1 + 1e-9):
         problems.append(
-            f"the floor's slow motion is {red / RED_LIMIT:.3g} times what this adaptation tolerates; adapt more slowly"
+            f"the floor's slow motion is {slow / LIMIT:.3g} times what this adaptation tolerates; adapt more slowly, or know the path better"
         )
     return Certificate(
-        float(angles[worst]), float(f[band][worst]), float(peak), slowest, float(red), tuple(problems)
+        float(angles[worst]), float(f[band][worst]), float(peak), slowest, float(slow), tuple(problems)
     )
 
 
@@ -457,7 +510,13 @@ def design_isolation(
     estimate = isolator if estimate is None else estimate
     own = paths_through(isolator, rate, correction)
     first = _first_loop(isolator, estimate, own, floor, rate, band_hz, notches)
-    tried = [try_loop(loop, isolator, own, floor, algorithm, variance) for loop in _candidates(first, floor)]
+    rng = np.random.default_rng(seed)
+    box = [_perturbed(isolator, spread, rng) for _ in range(DRAWS)]
+    paths = [paths_through(each, rate, correction) for each in box]
+    tried = [
+        try_loop(loop, isolator, own, floor, algorithm, variance, mismatch)
+        for loop, mismatch in _candidates(first, floor, [own, *paths])
+    ]
     if not tried:
         raise InputError(
             f"band_hz begins at {first.shaping.highpass_hz:.3g} Hz, below twice every cut-off tried; begin at 1 Hz or above"
@@ -465,14 +524,13 @@ def design_isolation(
     # What speaks against the loop without a skyhook no smaller gain cures.
     mildest = min(tried, key=lambda each: (each.loop.gain, len(each.certificate.problems)))
     against = "not to be switched on: " + "; ".join(mildest.certificate.problems)
-    rng = np.random.default_rng(seed)
-    box = [_perturbed(isolator, spread, rng) for _ in range(DRAWS)]
     failed = []
     for design in _in_order(tried, against):
         around = []
-        for each in box:
-            paths = paths_through(each, rate, correction)
-            around.append(try_loop(design.loop, each, paths, floor, algorithm, variance, design.step))
+        for each, path in zip(box, paths, strict=True):
+            around.append(
+                try_loop(design.loop, each, path, floor, algorithm, variance, design.mismatch, design.step)
+            )
             if problems := around[-1].certificate.problems:
                 failed.append((design.loop.gain, problems))
                 break
@@ -509,13 +567,28 @@ def _first_loop(
     return replace(first, shaping=replace(shaping, highpass_hz=float(low), lowpass_hz=float(high)))
 
 
-def _candidates(first: FeedforwardLoop, floor: FloorSpectra) -> Iterator[FeedforwardLoop]:
-    """All gains, cut-offs and high-passes that are tried, each with its beta."""
+def _candidates(
+    first: FeedforwardLoop, floor: FloorSpectra, box: list[Paths]
+) -> Iterator[tuple[FeedforwardLoop, Mismatch]]:
+    """All gains, cut-offs and high-passes that are tried, each with its beta, and the mismatch over the `box`.
+
+    The path's delay is that of the least mismatch of its first path, the nominal one.
+    """
     mass, omega = _mean_mode(first.estimate)
     cutoffs = [each for each in CUTOFFS_HZ if each <= first.shaping.highpass_hz / 2]
-    for ratio, cutoff, highpasses in product(RATIOS, cutoffs, HIGHPASSES):
-        loop = replace(first, gain=2 * ratio * mass * omega, cutoff_hz=cutoff, highpasses=highpasses)
-        yield replace(loop, beta=choose_beta(loop, floor))
+    f = np.geomspace(first.shaping.highpass_hz / 4, 0.499 * first.rate, 1500)
+    seen = [(primary, sampled) for primary, _, sampled in (each(f) for each in box)]
+    for ratio in RATIOS:
+        loop, least = first, np.inf
+        for delay in range(int(first.estimate.delay * first.rate) + LATER):
+            late = replace(first, gain=2 * ratio * mass * omega, path_delay=delay)
+            off = float(np.max(path_mismatch(late.responses(*seen[0], f)) / f**2))
+            if off < least:
+                loop, least = late, off
+        mismatch = Mismatch(f, np.max([path_mismatch(loop.responses(*each, f)) for each in seen], axis=0))
+        for cutoff, highpasses in product(cutoffs, HIGHPASSES):
+            each = replace(loop, cutoff_hz=cutoff, highpasses=highpasses)
+            yield replace(each, beta=choose_beta(each, floor)), mismatch
 
 
 def _in_order(tried: list[IsolationDesign], against: str) -> list[IsolationDesign]:
@@ -529,7 +602,7 @@ def _in_order(tried: list[IsolationDesign], against: str) -> list[IsolationDesig
         raise InputError(
             f"not to be switched on: with this floor's slow motion the adaptation needs a time constant of {least:.3g} s or "
             f"more with every high-pass of the floor sensors; above {LONGEST_S:g} s it is too slow: start the band at a higher "
-            "frequency, so that higher cut-offs fit below it, or allow a larger variance"
+            "frequency, so that higher cut-offs fit below it, know the path better (a smaller spread), or allow a larger variance"
         )
     least = ALIKE * min(each.motion for each in quick)
     return sorted(quick, key=lambda each: (max(each.motion, least), each.time_constant))

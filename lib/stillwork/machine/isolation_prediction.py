@@ -121,12 +121,15 @@ class _MovingWeights(NamedTuple):
     power: np.ndarray  # of them
     force: np.ndarray  # density of the force by weights that move within the band, times f^2
     shape: tuple[int, int]  # of the weights
+    smoothing: float  # s
 
     def jitter(self, paths: MovingPaths) -> np.ndarray:
         """Density of the motion by weights that move within the band, (axes, frequencies)."""
         through = paths.seen.secondary
         each = np.einsum("fab,bc,fac->af", through, self.force, np.conj(through))
-        return each.real / self.frequencies_hz**2
+        return each.real / (
+            self.frequencies_hz**2 * (1 + (2 * np.pi * self.frequencies_hz * self.smoothing) ** 2)
+        )
 
     def wandering(self, secondary: np.ndarray) -> np.ndarray:
         """Density of the motion by weights that wander, (axes, frequencies)."""
@@ -148,7 +151,15 @@ def _moving_weights(design: IsolationDesign, floor: FloorSpectra) -> _MovingWeig
     plain = np.einsum("fis,fst,fjt->fij", psi, seen, np.conj(psi), optimize=True)
     power = np.einsum("f,fij->ij", floor.widths_hz, plain).real
     force = design.step**2 * floor.bursts[1] * jitter_density(design.scatter, power, design.loop.rate)
-    return _MovingWeights(floor.frequencies_hz, covariance, plain, power, force, design.steady.weights.shape)
+    return _MovingWeights(
+        floor.frequencies_hz,
+        covariance,
+        plain,
+        power,
+        force,
+        design.steady.weights.shape,
+        design.loop.smoothing,
+    )
 
 
 def _drawn(

@@ -26,7 +26,7 @@ COMPILERS = ("cc", "gcc", "clang")
 MODES = ("frozen", "adapting")
 MINUTE_S = 60
 TAIL_S = 3.0  # after the record, which do not count
-SATURATED = 1  # the flag of the C
+SATURATED, LOUD = 1, 16  # the flags of the C
 
 
 class Replay(NamedTuple):
@@ -36,6 +36,7 @@ class Replay(NamedTuple):
     motion: np.ndarray  # (3, axes, seconds): rms without control, frozen, adapting in the judged band, m/s^2
     peak: np.ndarray  # (2, axes, seconds): largest command, frozen and adapting, N
     saturated: tuple[int, int]  # samples at the limit
+    kept: float  # share of the samples in which the floor was so loud that the weights were kept
     noise: np.ndarray  # (axes,): largest command by the sensors' noise alone, with frozen weights, N
 
     @property
@@ -53,6 +54,7 @@ class Replay(NamedTuple):
             "minutes": dict(zip(("without", *MODES), self.minutes.tolist(), strict=True)),
             "noise": self.noise.tolist(),
             "saturated": dict(zip(MODES, self.saturated, strict=True)),
+            "kept": self.kept,
         }
 
 
@@ -104,12 +106,13 @@ def replay(
                 )
             peaks.append(_seconds(np.abs(forces[counted].T), rate, np.max))
             saturated.append(int(np.count_nonzero(flags[counted] & SATURATED)))
+            kept = float(np.mean(flags[counted] & LOUD > 0))
             # From rest to rest, with the rise before it and a fade after: else its lines had a step of the commands.
             forces[lead + count :] *= np.linspace(1.0, 0.0, tail)[:, None]
             motions.append(left(passive + through(f, np.fft.rfft(forces.T, axis=1), grid, held)))
         alone, _ = run(quiet, still, np.inf, len(order))
     largest = np.abs(alone[counted]).max(axis=0)
-    return Replay(ran, np.array(motions), np.array(peaks), (saturated[0], saturated[1]), largest)
+    return Replay(ran, np.array(motions), np.array(peaks), (saturated[0], saturated[1]), kept, largest)
 
 
 def _seconds(rows: np.ndarray, rate: float, summary) -> np.ndarray:
@@ -152,8 +155,7 @@ def _loop(design: IsolationDesign, files: dict[str, str], name: str, pause_s: fl
         def run(floors, seen, limit, begins):
             forces, flags = np.zeros_like(seen), np.zeros(len(seen), np.uint8)
             if compiled is None:
-                ago = design.settings.path_delay
-                spans = (*waiting_samples(design.loop, pause_s), late, begins, -1 if ago is None else ago)
+                spans = (*waiting_samples(design.loop, pause_s), late, begins, design.loop.path_delay)
                 _run_kernel(design, limit, spans, floors, seen, tuple(plant), forces, flags)
                 return forces, flags
             states = len(plant[0])
@@ -205,10 +207,11 @@ def _run_kernel(design, limit, spans, floors, seen, plant, forces, flags) -> Non
         if recursive
         else (settings.step_size, settings.regularisation, settings.trace_copies(len(weights)))
     )
+    guard = np.triu(design.guard), loop.smooth
     filters = (loop.noise_shaping, loop.skyhook, *(np.ascontiguousarray(each) for each in loop.error))
     started = recursion.start(psi.shape[1])
     _step_through(
-        weights, started, *started[-2:], recursive, rates, psi, filtered, seen, plant, filters, spans, float(limit), forces, flags
+        weights, started, *started[-2:], recursive, rates, psi, filtered, seen, plant, filters, guard, spans, float(limit), forces, flags
     )  # fmt: skip
 
 
@@ -234,6 +237,7 @@ def _step_through(
     seen,
     plant,
     filters,
+    guard,
     spans,
     limit,
     forces,
@@ -244,7 +248,8 @@ def _step_through(
     shaping, skyhook, before, modes, after = filters
     start, fade, pause, late, begins, path_delay = spans
     matrix, form, forgetting, levels, allowance, gain, _, _ = recursion
-    axes, states = seen.shape[1], len(a)
+    axes, states, (certified, smooth) = seen.shape[1], len(a), guard
+    whole = weights.copy()  # of the command
     x, damped, error, turned = np.zeros(states), np.zeros(axes), np.zeros(axes), np.zeros(axes)
     skies, errors = np.zeros((axes, len(skyhook), 2)), np.zeros((axes, modes.shape[1], 2))
     sents, sent, turn = np.zeros((axes, len(shaping), 2)), np.zeros_like(seen), 0
@@ -262,19 +267,22 @@ def _step_through(
         set_product(after, turned, error)
         share = 1 - rest / fade if rest < fade else 0.0
         share = share * share * (3 - 2 * share)
+        loud = np.sum((certified @ psi[k]) ** 2) > 1
         for i in range(axes):
-            forces[k, i] = share * np.sum(weights[i] * psi[k]) - damped[i]
+            whole[i] += smooth * (weights[i] - whole[i])
+            forces[k, i] = share * np.sum(whole[i] * psi[k]) - damped[i]
             if not abs(forces[k, i]) <= limit:
                 forces[k, i] = np.copysign(limit, forces[k, i])
                 flags[k] = SATURATED
-            sent[k, i] = forces[k, i] + damped[i]
+            sent[k, i] = forces[k, i]
             for m in range(len(shaping)):
                 sent[k, i] = _section(shaping[m], sents[i, m], sent[k, i])
-        regressor = filtered[k]
-        if path_delay >= 0:  # the modified error, of as many samples ago: nothing is updated before these
-            regressor = filtered[k - path_delay]
-            for i in range(axes):
-                error[i] += np.sum(weights[i] * regressor) - sent[k - path_delay, i]
+        # The modified error, of as many samples ago: nothing is updated before these.
+        regressor = filtered[k - path_delay]
+        for i in range(axes):
+            error[i] += np.sum(weights[i] * regressor) - sent[k - path_delay, i]
+        if loud:
+            flags[k] |= LOUD
         if flags[k]:
             wait = max(wait, pause)
         rest -= rest > 0

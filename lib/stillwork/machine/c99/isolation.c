@@ -55,6 +55,7 @@ $weights    };
         s->limit[a] = $limit;
         for (i = 0; i < N; i++) {
             s->adapt.weights[a][i] = designed[a][i];
+            s->weights[a][i] = (double)designed[a][i];
         }
     }
     s->adapting = 1;
@@ -93,6 +94,7 @@ r|    int j;
     for (i = 0; i < N; i++) {
         for (a = 0; a < A; a++) {
             s->adapt.weights[a][i] = stored[place];
+            s->weights[a][i] = (double)stored[place];
             usable = (isfinite(stored[place]) != 0) ? usable : 0;
             place++;
         }
@@ -106,6 +108,26 @@ r|        }
         ${name}_start(s);
     }
     return usable;
+}
+
+/* Whether the floor's slow motion is above what the adaptation was certified for. */
+static bool loud(const double psi[N])
+{
+    static const double level[N][N] = {
+$level    };
+    double square = 0.0;
+    int i;
+    int j;
+
+    for (i = 0; i < N; i++) {
+        double sum = 0.0;
+
+        for (j = i; j < N; j++) {
+            sum += level[i][j] * psi[j];
+        }
+        square += sum * sum;
+    }
+    return !(square <= 1.0);
 }
 
 /* Keep what is there; false: a sensor is missing, and its last value stands for it. */
@@ -148,10 +170,10 @@ $after    };
     double both[$both];
     ${name}_real share;
     ${name}_real e[A];
-    ${name}_real psi[N];
+    double psi[N];
     ${name}_real filtered[N];
-m|    double sent[A];
-m|    ${name}_real c[A];
+    double sent[A];
+    ${name}_real c[A];
     int place = 0;
     int a;
     int i;
@@ -192,7 +214,7 @@ m|    ${name}_real c[A];
             }
         }
         for (i = 0; i < S; i++) {
-            psi[place] = (${name}_real)both[i];
+            psi[place] = both[i];
             filtered[place] = (${name}_real)both[S + i];
             place++;
         }
@@ -202,9 +224,14 @@ m|    ${name}_real c[A];
        from a force that was cut off. */
     share = (s->rest < fade_samples) ? (${name}_real)(1.0 - ((double)s->rest / (double)fade_samples)) : $zero;
     share = share * share * ($three - ($two * share));
-    ${name}_adapt_feed(&s->adapt, psi, out);
     for (a = 0; a < A; a++) {
-        out[a] = (share * out[a]) - (${name}_real)damping[a];
+        double feed = 0.0;
+
+        for (i = 0; i < N; i++) {
+            s->weights[a][i] += $smooth * ((double)s->adapt.weights[a][i] - s->weights[a][i]);
+            feed += s->weights[a][i] * psi[i];
+        }
+        out[a] = (share * (${name}_real)feed) - (${name}_real)damping[a];
         e[a] = (${name}_real)error[a];
         if (!(out[a] <= s->limit[a])) {
             out[a] = s->limit[a];
@@ -215,25 +242,27 @@ m|    ${name}_real c[A];
             flags |= ${guard}_SATURATED;
         }
     }
-m|
-m|    /* N on what the feedforward sent, for the modified error. */
-m|    for (a = 0; a < A; a++) {
-m|        sent[a] = (double)out[a] + damping[a];
-m|        for (k = 0; k < $shaping_sections; k++) {
-m|            sent[a] = section(shaping[k], &s->sent[k][0][a], &s->sent[k][1][a], sent[a]);
-m|        }
-m|        c[a] = (${name}_real)sent[a];
-m|    }
-    if ((flags & ${guard}_SATURATED) != 0u) {
+
+    /* N on the command, for the modified error. */
+    for (a = 0; a < A; a++) {
+        sent[a] = (double)out[a];
+        for (k = 0; k < $shaping_sections; k++) {
+            sent[a] = section(shaping[k], &s->sent[k][0][a], &s->sent[k][1][a], sent[a]);
+        }
+        c[a] = (${name}_real)sent[a];
+    }
+    if (loud(psi)) {
+        flags |= ${guard}_LOUD;
+    }
+    if ((flags & (${guard}_SATURATED | ${guard}_LOUD)) != 0u) {
         s->wait = (s->wait > pause_samples) ? s->wait : pause_samples;
     }
     s->rest -= (s->rest > 0) ? 1 : 0;
     if ((s->adapting == 0) || (s->wait > 0)) {
         flags |= ${guard}_FROZEN;
         s->wait -= (s->wait > 0) ? 1 : 0;
-m|        ${name}_adapt_pass(&s->adapt, filtered, c);
-p|    } else if (${name}_adapt_update(&s->adapt, filtered, e) == 0) {
-m|    } else if (${name}_adapt_update(&s->adapt, filtered, c, e) == 0) {
+        ${name}_adapt_pass(&s->adapt, filtered, c);
+    } else if (${name}_adapt_update(&s->adapt, filtered, c, e) == 0) {
         flags |= ${guard}_INVALID | ${guard}_FROZEN;
     } else {
         /* adapted */

@@ -23,15 +23,17 @@ extern "C" {
 #define ${guard}_HELD 2u      /* a sensor is missing, not a number: the last value stands for it */
 #define ${guard}_FROZEN 4u    /* the weights did not adapt */
 #define ${guard}_INVALID 8u   /* missing for too long, or an adaptation that could not be used */
+#define ${guard}_LOUD 16u     /* the floor's slow motion is above what the adaptation was certified for */
 
 typedef ${name}_adapt_real ${name}_real;
 
 typedef struct {
     ${name}_adapt_state adapt; /* the weights W and what their update keeps */
+    double weights[$axes][$regressors]; /* of the command: W without its fast motion */
     ${name}_real limit[$axes];   /* N, of each command; may be changed between two samples */
     int adapting;              /* 0: the weights are kept; likewise */
     int rest;                  /* samples until the feedforward is whole: none before the filters have settled */
-    int wait;                  /* samples until they adapt, at the start or again after the limit acted */
+    int wait;                  /* samples until they adapt, at the start or again after the limit or the guard acted */
     int missing;               /* samples in a row */
     ${name}_real floor[$sensors];  /* the last that were there */
     ${name}_real platform[$axes];
@@ -40,7 +42,7 @@ typedef struct {
     double highpass[$highpass_sections][2][$sensors];
     double integrator[$integrator_sections][2][$both];
     double error[$error_sections][2][$axes];
-m|    double sent[$shaping_sections][2][$axes];
+    double sent[$shaping_sections][2][$axes];
 } ${name}_state;
 
 /* Filters at rest, and a warm start: the weights that the design expects, and their covariance on its floor. */
