@@ -92,7 +92,7 @@ def on_machine(found: pd.Series, table: pd.DataFrame, plant: str) -> str:
     others = table[table["score"] == "flexible"].set_index(KEYS[1:]).loc[own.index]
     middle = others.drop(columns=["score", ORACLE]).median()
     place = 1 + int((middle < own.median()).sum())
-    return f"{plant}: error {own.median():.2f}, Kalman {middle['Kalman']:.2f}, place {place} of {len(middle) + 1}"
+    return f"{plant}: error {own.median():.2f}, Kalman {middle['Kalman']:.2f}, place {place} of {len(middle) + 1} by error"
 
 
 def as_markdown(found: pd.DataFrame) -> str:
