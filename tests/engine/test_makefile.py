@@ -171,9 +171,10 @@ def test_what_is_documented_runs_as_it_is_typed(checkout, line):
     assert (checkout / ".venv" / "complete").exists() == (asked is None and not re.search("help|clean", line))
 
 
-def test_the_tests_run_notebooks_under_the_settings_of_a_build(checkout):
+def test_the_tests_run_under_the_settings_of_a_build_and_on_the_days_examples(checkout):
     (checkout / "own one/bin/python").write_text(STUB + "env >> settings\n")
-    assert make(checkout, OWN, "test").returncode == 0
+    assert make(checkout, OWN, "test", "EXAMPLES=new", "DAY=20260101").returncode == 0
+    assert [line.partition(" ")[2] for line in calls(checkout) if "--hypothesis-seed=20260101" in line]
     settings = set((checkout / "settings").read_text().splitlines())
     assert {f"{name}={value}" for name, value in pins().items()} <= settings
     assert f"STILLWORK_OUTPUT={checkout}/build/nbval" in settings
