@@ -9,6 +9,7 @@ from jaxtyping import Float64
 from experiments.isolation.recorded_floors import ground_spectrum
 from experiments.isolation.twin import Twin
 from stillwork.base.checks import InputError, require_number
+from stillwork.estimation.adaptive import FeLms, FeRls
 from stillwork.estimation.mean_adaptation import mean_adaptation
 from stillwork.machine.isolate import (
     SLOWEST_HZ,
@@ -104,7 +105,7 @@ class Answer:
 
     def in_short(self) -> str:
         """What was chosen, in a sentence."""
-        loop, algorithm = self.design.loop, type(self.design.settings).__name__
+        loop, algorithm = self.design.loop, {FeRls: "FeRLS", FeLms: "FeLMS"}[type(self.design.settings)]
         return (
             f"We take a skyhook gain of {loop.gain:.3g} N s/m on each axis, weak integrators with a cut-off of {loop.cutoff_hz:g} Hz, and "
             f"{algorithm} with a time constant of {self.design.time_constant:.2g} s; the appendix has all that the command prints."
