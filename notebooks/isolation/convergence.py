@@ -1021,8 +1021,8 @@ FeLMS scatters as FeRLS does.""")
         f"FeRLS over FeLMS, w1 to w9: {_row(stats.gmean(ferls / felms, axis=0))}",
     )
     page.text(r"""Without forgetting $P^{-1}$ starts as the steady one of $T = 10$ s and goes on growing, by $\psi_N\psi_N^T$ a sample, so
-$P \propto 1/(t + T)$. The noise of the sum that $P$ multiplies grows with $t$. So the variance has no level of its own; it falls as
-$t/(t + T)^2$.""")
+$P \propto 1/(t + T)$; the variance of the sum that it multiplies grows with $t$. So that of the weights has no level of its own: it
+falls as $t/(t + T)^2$.""")
     faded, (early, late) = fading(seed, low_pass_hz), (FADING_S[0], FADING_S[-1])
     for (low, high), square in faded.items():
         over = np.exp(np.log(square).mean() - np.log(ferls).mean())
