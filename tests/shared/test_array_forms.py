@@ -1,5 +1,7 @@
 """The same numbers as lists, in single precision, read-only, strided or on disk: the same result, nothing changed.
 
+Likewise a model of numbers of any type: it keeps Python's.
+
 In a process of their own, as a stranger calls: here the tests' type checker would answer first.
 """
 
@@ -15,6 +17,7 @@ import numpy as np
 import pytest
 
 TESTS = Path(__file__).parents[1]
+NUMBERS = (np.int8, np.int64, np.uint8, np.uint64, np.float32, np.float64, np.longdouble)
 
 
 @pytest.mark.slow
@@ -31,6 +34,13 @@ def compare_forms() -> tuple[int, list[str]]:
     with tempfile.TemporaryDirectory() as folder:
         for name, (function, good) in catalogue().items():
             for key, value in good.items():
+                for number in NUMBERS if isinstance(function, type) and type(value) in (int, float) else ():
+                    with np.errstate(all="ignore"):
+                        given = np.array(value).astype(number)[()]
+                    if float(given) == value and (type(value) is float or given.dtype.kind != "f"):
+                        count += 1
+                        if what := difference(function, good, key, given, value):
+                            found.append(f"{name}, {key} = {number.__name__}: {what}")
                 array = np.asarray(value) if type(value) in (np.ndarray, list) else np.zeros(0)
                 if name in REFUSED or array.dtype.kind not in "fc" or not array.size:
                     continue
@@ -61,14 +71,14 @@ def forms(array: np.ndarray, file: Path) -> Iterator[tuple[str, object, np.ndarr
         yield "of integers", whole, whole.astype(float)
 
 
-def difference(function, good: dict, key: str, other, plain: np.ndarray) -> str:
+def difference(function, good: dict, key: str, other, plain) -> str:
     arguments = copy.deepcopy(good) | {key: other}
     before = copy.deepcopy(arguments)
     result = result_of(function, arguments)
     if not same_value(arguments, before):
         return "the call changes its arguments"
     expected = result_of(function, copy.deepcopy(good) | {key: plain})
-    if is_dataclass(expected) and isinstance(function, type) and shares(expected, plain):
+    if is_dataclass(expected) and isinstance(function, type) and np.ndim(plain) and shares(expected, plain):
         return "the model keeps the caller's array, and changes with it"
     return "" if same_value(result, expected) else f"another result than of a plain array: {result!r:.200}"
 

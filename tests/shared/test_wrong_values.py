@@ -1,4 +1,4 @@
-"""Wrong values for every public function: a result, or an error that says what is wrong; nothing else.
+"""Wrong values for every public function, each of which has a good call: a result, or an error that says what is wrong; nothing else.
 
 In a process of their own, as a stranger calls: here the tests' type checker would answer first.
 """
@@ -19,13 +19,6 @@ TESTS = Path(__file__).parents[1]
 def test_wrong_values_end_in_documented_errors():
     done = subprocess.run([sys.executable, "-W", "ignore", __file__], capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
-
-
-@pytest.mark.slow
-def test_every_public_name_has_a_good_call():
-    command = [sys.executable, "-c", "import calls; assert not calls.missing(), calls.missing()"]
-    done = subprocess.run(command, cwd=TESTS, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
 
 
 def _nonsense(*_, **__) -> str:
@@ -66,14 +59,15 @@ def spoiled(value, how: int):
 
 
 def try_wrong_values() -> None:
-    from calls import catalogue
+    from calls import catalogue, missing
     from stillwork.base.checks import InputError
     from stillwork.estimation.online import UnstableAdaptation
 
+    assert not missing(), missing()
     calls = {name: call for name, call in catalogue().items() if call[1]}
 
     @settings(
-        max_examples=1500,
+        max_examples=1000,
         deadline=None,
         database=None,
         derandomize=True,
