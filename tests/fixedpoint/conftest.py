@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from experiments.fixedpoint import load_oscillator
+from notebooks.fixedpoint.your_plant import load_models
 from stillwork.control import asin_trajectory
 
 
@@ -18,6 +19,11 @@ def exact(models):
 @pytest.fixture(scope="session")
 def approximate(models):
     return models["approximate"].plant
+
+
+@pytest.fixture(scope="session")
+def arm():
+    return load_models("arm.py")
 
 
 @pytest.fixture(scope="session")

@@ -201,22 +201,3 @@ def test_lost_definiteness_is_reported_with_the_sample(approximate):
     """The printed (14) with a large initial variance makes P indefinite in one step."""
     with pytest.raises(InputError, match=r"covariance.*sample 1\b"):
         filter_signal(UnscentedKalman(approximate, literal=True, initial_variance=1.0), np.zeros(10))
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda m: SavitzkyGolay(2, 2), "samples"),
-        (lambda m: filter_signal(LowPass(), np.array([0.0, np.nan])), r"^measured\b"),
-        (
-            lambda m: ExtendedKalman(m).step(UnscentedKalman(m).start(), 0.0),
-            r"^state\b",
-        ),
-        (lambda m: filter_signal(SavitzkyGolay(), np.zeros(5), sample_time=2e-3), r"^sample_time\b"),
-        (lambda m: filter_signal(LowPass(), np.repeat([0.0, 1e308], 50)), r"sample 50\b"),
-        (lambda m: filter_signal(LowPass(2000.0), np.ones(5)), r"^bandwidth\b"),
-    ],
-)
-def test_bad_input(call, message, approximate):
-    with pytest.raises(InputError, match=message):
-        call(approximate)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from fixedpoint.carts import cart_bias, cart_inertia
 from naive import fixedpoint as naive
-from notebooks.fixedpoint.your_plant import load_models
 from stillwork.base.checks import InputError
 from stillwork.control import (
     Controller,
@@ -26,11 +26,6 @@ from stillwork.estimation.coordinate_filters import MovingWindow
 from stillwork.estimation.filtering import UNIT_MASS
 
 DT = 1e-3
-
-
-@pytest.fixture(scope="module")
-def arm():
-    return load_models("arm.py")
 
 
 def lumped_inertia(position, parameters, out):
@@ -76,18 +71,10 @@ def test_the_observer_is_its_twin(gain, arm, short, rng):
     assert np.abs(forces - found).max() < 1e-7 * np.abs(found).max()
 
 
-def cart_inertia(position, parameters, out):
-    out[0, 0] = parameters[0]
-
-
-def cart_bias(position, velocity, parameters, out):
-    out[0] = parameters[1] * position[0]
-
-
 def test_a_constant_force_moves_computed_torque_by_its_share_of_the_stiffness_and_the_observer_not_at_all():
     """Without an integral, at rest: e = F / (m_model Lambda^2)."""
     still = asin_trajectory(amplitude=1e-9, duration=3.0)
-    plant, model = (Mechanism(cart_inertia, cart_bias, 1, [mass, 0.0]) for mass in (3.0, 2.0))
+    plant, model = (Mechanism(cart_inertia, cart_bias, 1, [mass, 0.0, 0.0]) for mass in (3.0, 2.0))
     errors = []
     for gain in (0.0, 0.02):
         design = KinematicDesign(10.0, integrals=0)
@@ -214,20 +201,8 @@ def test_the_joint_filter_is_its_twin(arm, short, rng):
     assert np.all(np.abs(np.array(found).T - expected).max(axis=0) < 1e-5 * size)
 
 
-def mass_inertia(position, parameters, out):
-    out[0, 0] = parameters[0]
-    out[1, 1] = parameters[0]
-    out[0, 1] = 0.0
-    out[1, 0] = 0.0
-
-
-def mass_bias(position, velocity, parameters, out):
-    out[0] = 0.0
-    out[1] = 0.0
-
-
 def test_on_unit_masses_the_joint_filter_is_one_of_each_coordinate(short, rng):
-    plant, model = (Mechanism(mass_inertia, mass_bias, 2, [mass]) for mass in (1.3, 1.0))
+    plant, model = (Mechanism(cart_inertia, cart_bias, 2, [mass, 0.0, 0.0]) for mass in (1.3, 1.0))
     noise = 1e-4 * rng.standard_normal((2, len(short.position)))
     runs = [
         simulate_mechanism(

@@ -140,22 +140,6 @@ def test_an_infinite_force_is_reported(exact, approximate, short):
     assert "force" in run.cause and "finite" in run.cause
 
 
-def test_wrong_controllers(exact, approximate, short):
-    with pytest.raises(InputError, match=r"^kinematics\b"):
-        Controller(LowPass(), FlowTransformation(), KinematicDesign(1.0, order=1), approximate)
-    slow = Controller(
-        SavitzkyGolay(sample_time=2e-3), RobustTransformation(), KinematicDesign(9.0), approximate
-    )
-    with pytest.raises(InputError, match=r"^sample_time\b"):
-        simulate(exact, slow, short)
-    quick = Controller(LowPass(3000.0), RobustTransformation(), KinematicDesign(9.0), approximate)
-    with pytest.raises(InputError, match=r"^bandwidth\b"):
-        simulate(exact, quick, short)
-    run = simulate(exact, published_controllers(approximate)["low pass"], short)
-    with pytest.raises(InputError, match=r"^settle\b"):
-        judge(run, settle=0.6)
-
-
 def test_every_controller_sees_the_same_noise(exact, approximate):
     controllers = published_controllers(approximate)
     twice = {"one": controllers["low pass"], "two": controllers["low pass"]}

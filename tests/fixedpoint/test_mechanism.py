@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from fixedpoint.carts import cart_acceleration, cart_bias, cart_force, cart_inertia
 from naive import fixedpoint as naive
-from notebooks.fixedpoint.your_plant import load_models
 from stillwork.base.checks import InputError
 from stillwork.control import (
     Controller,
@@ -33,11 +33,6 @@ from stillwork.estimation.coordinate_filters import (
 from stillwork.estimation.filtering import UNIT_MASS, filter_signal
 
 PUSHED = UnscentedKalman(UNIT_MASS)
-
-
-@pytest.fixture(scope="module")
-def arm():
-    return load_models("arm.py")
 
 
 def frictionless(model):
@@ -134,25 +129,6 @@ FILTERS = [
     (PUSHED, RobustTransformation()),
     (ExtendedKalman(UNIT_MASS), RobustTransformation()),
 ]
-
-
-def cart_inertia(position, parameters, out):
-    for i in range(len(position)):
-        for j in range(len(position)):
-            out[i, j] = parameters[0] * (i == j)
-
-
-def cart_bias(position, velocity, parameters, out):
-    for i in range(len(position)):
-        out[i] = parameters[1] * position[i] + parameters[2] * velocity[i] * abs(velocity[i])
-
-
-def cart_acceleration(position, velocity, force, parameters):
-    return (force - parameters[1] * position - parameters[2] * velocity * abs(velocity)) / parameters[0]
-
-
-def cart_force(position, velocity, acceleration, parameters):
-    return parameters[0] * acceleration + parameters[1] * position + parameters[2] * velocity * abs(velocity)
 
 
 @pytest.mark.parametrize("number", range(len(FILTERS)))

@@ -1,9 +1,8 @@
 import numpy as np
 import pytest
 
-from stillwork.base.checks import InputError
 from stillwork.control import asin_trajectory
-from stillwork.control.trajectory import Trajectory, record_trajectory, sine_trajectory, trapezoid_trajectory
+from stillwork.control.trajectory import record_trajectory, sine_trajectory, trapezoid_trajectory
 
 MAKERS = [sine_trajectory, asin_trajectory, trapezoid_trajectory]
 
@@ -49,15 +48,3 @@ def test_record_gives_back_a_motion():
     assert got.position == pytest.approx(t.position[:n], abs=1e-8)
     assert got.velocity == pytest.approx(t.velocity[:n], abs=1e-5)
     assert got.acceleration[20:-20] == pytest.approx(t.acceleration[20 : n - 20], abs=1e-3)
-
-
-def test_trajectory_without_derivatives():
-    q = np.sin(np.arange(100) * 0.01)
-    with pytest.raises(InputError, match="record_trajectory"):
-        Trajectory(0.01, q)
-    with pytest.raises(InputError, match=r"^velocity\b"):
-        Trajectory(0.01, q, 1.05 * np.cos(np.arange(100) * 0.01), -q)  # five per cent off
-    with pytest.raises(InputError, match=r"^acceleration\b"):
-        Trajectory(0.01, q, np.cos(np.arange(100) * 0.01), np.zeros(100))
-    with pytest.raises(InputError, match=r"^velocity\b"):  # and no warning of numpy's
-        Trajectory(0.01, q, np.full(100, 1e307), np.zeros(100))

@@ -123,17 +123,6 @@ def test_a_table_gives_a_controller(tmp_path):
     assert found.inputs == ("input 1",)
 
 
-def test_integrators_in_a_row_and_outputs_that_show_none_have_no_back_calculation():
-    double = StateModel(
-        np.array([[1.0, 1.0], [0.0, 1.0]]), np.ones((2, 1)), np.ones((1, 2)), np.zeros((1, 1)), SAMPLE_TIME
-    )
-    with pytest.raises(InputError, match=r"^model\b.*anti_windup"):
-        anti_windup(double, 0.1)
-    hidden = StateModel(np.eye(1), np.ones((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)), SAMPLE_TIME)
-    with pytest.raises(InputError, match=r"^model\b.*anti_windup"):
-        anti_windup(hidden, 0.1)
-
-
 def test_an_output_that_follows_from_itself_is_refused():
     model = StateModel(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((1, 0)), np.ones((1, 2)), SAMPLE_TIME)
     with pytest.raises(InputError, match=r"^model\b.*output"):

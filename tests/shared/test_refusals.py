@@ -9,15 +9,29 @@ import pytest
 from stillwork.base.checks import InputError
 from stillwork.control.controlled_run import ending, require_noise
 from stillwork.control.crossover import crossover
+from stillwork.control.digital import anti_windup
 from stillwork.control.feedback import fed_back
 from stillwork.control.feedforward import Feedforward
 from stillwork.control.fixed_point_convergence import LimitCycle, Oscillation
 from stillwork.control.fixed_point_linear import LinearFilter, semi_implicit_motion
 from stillwork.control.machine_loops import DesignSettings, Intensities
 from stillwork.control.setpoint import Setpoint
-from stillwork.estimation import FeLms, FeRls, adapt
+from stillwork.control.trajectory import Trajectory
+from stillwork.estimation import (
+    FeLms,
+    FeRls,
+    LeastMeanSquares,
+    LowPass,
+    MinMaxRegressor,
+    RecursiveLeastSquares,
+    adapt,
+    filter_signal,
+    track,
+)
+from stillwork.estimation.coordinate_filters import SavitzkyGolay
 from stillwork.estimation.covariance_forms import factor_of
 from stillwork.estimation.filter_step import end_point_weights
+from stillwork.estimation.linear_fits import total_least_squares
 from stillwork.estimation.observer import Observer
 from stillwork.estimation.secular import SecularFunction
 from stillwork.identification.complex_frequency import Stabilisation
@@ -44,6 +58,8 @@ LAG, SAMPLED = StateModel(-ONE, ONE, ONE, NONE), StateModel(0.5 * ONE, ONE, ONE,
 NOISES = Intensities(1.0, 1.0, 1.0)
 HITS, ROWS = np.random.default_rng(1).standard_normal((2, 2, 2000))
 RECORD = np.zeros((1, 9))
+X, Y = HITS[0, :90].reshape(30, 3), ROWS[0, :30]
+WAVE, SLOPE = np.sin(np.arange(100) * 0.01), np.cos(np.arange(100) * 0.01)
 
 REFUSED = [
     (lambda: ModalModel([0.0], [0.0], [[1.0]], [[1.0]], 0.0), "feedthrough"),
@@ -95,6 +111,35 @@ REFUSED = [
     (lambda: criterion_velocity("VCC", [10.0]), "'VC-C'"),
     (lambda: criterion_met([1.0], [1e-6]), "centres_hz"),
     (lambda: one_third_octave_velocity([10.0, 10.1], [1.0, 1.0]), "frequencies_hz"),
+    # Settings and records that do not go together.
+    (lambda: MinMaxRegressor([1.0, 2.0]).fit(X, Y), "bound"),
+    (lambda: MinMaxRegressor(1.0, initial_coef=np.ones(3)).fit(X, Y), "initial_covariance"),
+    (lambda: RecursiveLeastSquares(initial_coef=np.ones(2)).fit(X, Y), "initial_coef"),
+    (lambda: RecursiveLeastSquares(window=9, initial_covariance=1.0).fit(X, Y), "initial_covariance"),
+    (lambda: RecursiveLeastSquares().fit(X, Y, -np.ones(30)), "sample_weight"),
+    (lambda: LeastMeanSquares().fit(np.nan * X, Y), "NaN"),
+    (lambda: LeastMeanSquares().fit(np.ma.masked_equal([[1.0], [2.0]], 2), [1.0, 2.0]), "X"),
+    (lambda: track(X.T, Y, bound=1.0, penalty=1.0), "penalty"),
+    (lambda: track(1e99 * X.T, Y), "regressors"),
+    (lambda: track(X.T, 1e-99 * Y), "outputs"),
+    (lambda: track(EYE, np.ones(2)), "2 samples"),
+    (lambda: total_least_squares([[1.0, 1.0], [1.0, 1.0], [0.0, 0.0]], [1.0, 2.0, 3.0]), "matrix"),
+    (lambda: SavitzkyGolay(2, 2), "samples"),
+    (lambda: filter_signal(LowPass(), [0.0, np.nan]), "measured"),
+    (lambda: filter_signal(SavitzkyGolay(), np.zeros(5), sample_time=2e-3), "sample_time"),
+    (lambda: filter_signal(LowPass(), np.repeat([0.0, 1e308], 50)), "sample 50"),
+    (lambda: filter_signal(LowPass(2000.0), np.ones(5)), "bandwidth"),
+    (lambda: Trajectory(0.01, WAVE), "record_trajectory"),
+    (lambda: Trajectory(0.01, WAVE, 1.05 * SLOPE, -WAVE), "velocity"),  # five per cent off
+    (lambda: Trajectory(0.01, WAVE, SLOPE, 0 * WAVE), "acceleration"),
+    (lambda: Trajectory(0.01, WAVE, np.full(100, 1e307), 0 * WAVE), "velocity"),
+    (
+        lambda: anti_windup(
+            StateModel([[1.0, 1.0], [0.0, 1.0]], np.ones((2, 1)), np.ones((1, 2)), NONE, 0.1), 0.1
+        ),
+        "anti_windup",
+    ),
+    (lambda: anti_windup(StateModel(ONE, ONE, NONE, NONE, 0.1), 0.1), "anti_windup"),
     # What cannot end is refused with its size.
     (lambda: FeRls(1.0).start(30_000), "regressors needs"),
     (lambda: fir_regressors(np.ones(60), taps=30_000_000), "taps needs"),

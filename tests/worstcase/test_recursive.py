@@ -6,7 +6,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from naive import worstcase as naive
-from stillwork.base.checks import InputError
 from stillwork.estimation import min_max_solve, track
 from stillwork.estimation.min_max import ZeroEstimateWarning
 from stillwork.estimation.recursive import GrowthLimitWarning, worst_case_residuals
@@ -201,18 +200,3 @@ def test_a_bound_that_explains_everything_away_warns():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         track(rows.T, outputs, FORGETTING, bound=0.5)
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: track(np.ones((2, 9)), np.ones(9), bound=1.0, penalty=1.0), r"^penalty\b.*bound"),
-        (lambda: track(np.ones((2, 9)), np.ones(9), bound=-np.ones(9)), r"^bound\b"),
-        (lambda: track(np.full((2, 9), 1e99), np.ones(9)), r"^regressors\b"),
-        (lambda: track(np.ones((2, 9)), np.full(9, 1e-99)), r"^outputs\b"),
-        (lambda: track(np.ones((3, 3)), np.ones(3)), r"^regressors\b.*\b3 samples"),
-    ],
-)
-def test_bad_input_is_named(make, message):
-    with pytest.raises(InputError, match=message):
-        make()

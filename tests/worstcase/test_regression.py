@@ -281,33 +281,6 @@ def test_a_bound_that_explains_everything_away_warns():
         assert not MinMaxRegressor(50.0, fit_intercept=False).fit(X, y).coef_.any()
 
 
-def fitted(kind, *args, table=None, **settings):
-    return kind(*args, fit_intercept=False, **settings).fit(*table or record())
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda: fitted(MinMaxRegressor, [1.0, 2.0]), r"^bound\b"),
-        (lambda: fitted(MinMaxRegressor, 1.0, initial_coef=np.ones(3)), r"^initial_covariance\b"),
-        (lambda: fitted(RecursiveLeastSquares, initial_coef=np.ones(2)), r"^initial_coef\b"),
-        (
-            lambda: fitted(RecursiveLeastSquares, window=9, initial_covariance=1.0),
-            r"^initial_covariance\b.*window",
-        ),
-        (lambda: fitted(RecursiveLeastSquares, table=(*record(), -np.ones(60))), r"^sample_weight\b"),
-        (lambda: fitted(LeastMeanSquares, table=(np.full((5, 2), np.nan), np.ones(5))), r"^X and y\b.*NaN"),
-        (
-            lambda: fitted(LeastMeanSquares, table=(np.ma.masked_equal([[1.0], [2.0]], 2), [1.0, 2.0])),
-            r"^X\b",
-        ),
-    ],
-)
-def test_bad_input_is_named(call, message):
-    with pytest.raises(InputError, match=message):
-        call()
-
-
 @pytest.mark.parametrize("how", ["drift", "alike", "sizes"])
 def test_lms_warns_of_what_it_has_not_learned_alone(how):
     rng = np.random.default_rng(8)
