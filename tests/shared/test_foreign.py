@@ -194,6 +194,11 @@ def test_what_is_no_model_is_refused_with_what_to_give(said):
             function(REFUSED[said])
 
 
+def test_a_compensator_has_two_inputs_and_outputs():
+    with pytest.raises(InputError, match=r"compensator has shape \(1, 1\); give 2"):
+        control.make_loop(ct.tf([1.0], [8.0, 0.0, 0.0]), ct.tf([1.0], [1.0, 1.0]))
+
+
 def test_functions_take_models_of_other_libraries():
     lag = ct.tf([3.0], [1.0, 2.0])
     for each in (

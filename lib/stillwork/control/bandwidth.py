@@ -419,7 +419,7 @@ def make_loop(
     Raises
     ------
     InputError
-        When the plant has more than one input or output, or the compensator another sample time.
+        When the plant has more than one input or output, or the compensator not two of each or another sample time.
 
     References
     ----------
@@ -436,6 +436,10 @@ def make_loop(
     observer = no_observer(plant) if compensator is None else compensator
     if compensator is None:
         observer = replace(observer, sample_time=sample_time)
+    if observer.d.shape != (2, 2):
+        raise InputError(
+            f"compensator has shape {observer.d.shape}; give 2 outputs and 2 inputs, as `compensator` does"
+        )
     if observer.sample_time != sample_time or (delay and not sample_time):
         raise InputError(
             "compensator has another sample time than sample_time, or there is a delay without one"
