@@ -225,7 +225,7 @@ def _pieces(outside, grid: list[float]) -> list[tuple[float, float]]:
         if max(outside(side, (one + two) / 2) for side in (0, 1)) <= 0:
             joined = pieces and pieces[-1][1] == one
             pieces = [*pieces[:-1], (pieces[-1][0], two)] if joined else [*pieces, (one, two)]
-    return [tuple(float(f"{x:.{DIGITS}g}") * (abs(x) > accuracy) for x in piece) for piece in pieces]
+    return [tuple(float(f"{x:.{DIGITS}g}") * (abs(x) > accuracy) + 0.0 for x in piece) for piece in pieces]
 
 
 def _outside(entry: Entry, values: list) -> tuple[float, float]:
