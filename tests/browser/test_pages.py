@@ -4,6 +4,7 @@ import base64
 import json
 import re
 import zlib
+from datetime import date
 from urllib.parse import unquote
 
 import pytest
@@ -151,7 +152,10 @@ WITHOUT_PRESETS = {
 
 @pytest.fixture(scope="module")
 def pages(site):
-    return sorted(site.rglob("*.html"))
+    """All, but of the reference's modules, which are of one form, a tenth, others each day."""
+    modules = sorted(set((site / "reference").glob("*.html")) - {site / "reference" / "index.html"})
+    left = {each for number, each in enumerate(modules) if (number - date.today().toordinal()) % 10}
+    return sorted(set(site.rglob("*.html")) - left)
 
 
 @pytest.fixture(scope="module")
