@@ -43,39 +43,24 @@ def test_a_study_whose_notebook_takes_another_option_has_its_own_default(workboo
     assert [a.digest == b.digest for a, b in zip(plain, own, strict=True)] == [True, False]
 
 
-TEXTS = axis("trace", '["literal", "regressors"]', '"literal"', "text")
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         (A.replace("default = 0", "default = 3"), r"^motion\.a: default\b"),
-        (TEXTS.replace('default = "literal"', 'default = "litral"'), r"\bdefault\b"),
         (A.replace("kind =", "knid ="), r"^motion\.a\b.*'knid'.*'kind'"),
         (A.replace('kind = "number"', 'kind = "nmber"'), r"^motion\.a: kind\b"),
         (A.replace('source = "section 1 leaves it open"', ""), r"^motion\.a: source\b"),
-        (A.replace('"section 1 leaves it open"', '""'), r"^motion\.a: source\b"),
         (A.replace("motion.order", "motion.ordr"), r"\btouches\b.*'motion\.ordr'.*'motion\.order'"),
-        (A.replace("[0, 1, 2]", "[0]"), r"\boptions\b"),
         (A.replace("[0, 1, 2]", "[0, 0]"), r"^motion\.a\b.*options"),
-        (A.replace("[0, 1, 2]", '[0, "0"]'), r"^motion\.a\b.*options"),
-        (A.replace("[0, 1, 2]", "[0, [1]]"), r"\boption \[1\]"),
         (A.replace("[0, 1, 2]", "[0, nan]"), r"\boption nan\b"),
-        (A.replace("[0, 1, 2]", "0"), r"\boptions\b"),
-        (A.replace("kind =", "after = 1\nkind ="), r"^motion\.a: after\b"),
-        (A.replace('"section 1 leaves it open"', "1"), r"^motion\.a: source\b"),
         (SEEDS.replace("[7, 8, 9]", "[7, 8, -9]"), r"\boption\b.*-9\b"),
         (SEEDS + SEEDS.replace("seeds", "more") + study(), r"motion\.seeds and motion\.more\b"),
         (axis("lean", [1, 2], 1), "'lean'"),
-        (axis("2nd", [1, 2], 1), "'2nd'"),
         ("[motin.a]", "'motin'"),
-        ("[motion]\na = 1", r"^motion\.a\b"),
         ("[motion.a", r"choices\.toml\b"),
         (A + study().replace("choices.toy_work:sums", "choices.toy_work"), r"^studies\.toy: function\b"),
         (A + study(more="point = 3"), r"^studies\.toy\b.*'point'.*'points'"),
-        (A + study(more="defaults = 0"), r"^studies\.toy: defaults\b"),
         (A + study(more="defaults = { b = 0 }"), r"^studies\.toy: defaults\b.*'b'"),
-        (A + study(more="defaults = { a = 7 }"), r"^motion\.a: default\b"),
         (A + study(entries='["motion.none"]'), r"^studies\.toy: entries\b.*'motion\.none'"),
         (A + study(more="points = 1"), r"^studies\.toy: points\b"),
         (A + study() + study().replace("toy]", "other]"), r"^motion\.table-1\.sum\b.*\btoy\b"),

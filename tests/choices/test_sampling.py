@@ -1,8 +1,6 @@
 import itertools
 from dataclasses import replace
 
-import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -62,25 +60,3 @@ def test_where_an_entrys_own_axes_are_few_all_of_their_settings_are_computed():
     assert all(point[0] == point[2] == point[4] == 1 for point in found[20:]) and len(set(found)) == len(
         found
     )
-
-
-@pytest.mark.parametrize("points", [64, 256])
-def test_a_sample_fills_the_space_better_than_chance(points):
-    """Every option of every axis, and every pair of options, comes about as often as any other."""
-    sizes = [2, 4, 3, 5, 2, 4]
-    found = np.array(design(multiverse(sizes, points=points)))
-    rng = np.random.default_rng(1)
-    chance = np.mean(
-        [unevenness(np.floor(rng.random((points, 6)) * sizes).astype(int), sizes) for _ in range(50)]
-    )
-    assert unevenness(found, sizes) < 0.6 * chance
-
-
-def unevenness(points, sizes):
-    """Mean squared distance of the counts of all pairs of options from the even one, in units of it."""
-    total = []
-    for a, b in itertools.combinations(range(len(sizes)), 2):
-        counts = np.zeros((sizes[a], sizes[b]))
-        np.add.at(counts, (points[:, a], points[:, b]), 1)
-        total.append(np.mean((counts * counts.size / len(points) - 1) ** 2))
-    return np.mean(total)

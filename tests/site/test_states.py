@@ -1,6 +1,5 @@
 """Explorers without a kernel: what of a notebook runs, what a figure becomes, and at which settings."""
 
-import base64
 import json
 
 import numpy as np
@@ -10,9 +9,7 @@ from workbook import figures
 from workbook.explorer import Choice, Slider
 from workbook.inputs import environment_inputs
 from workbook.notebooks import Notebook
-from workbook.site import states as states_of
 from workbook.site.explorers import Explorer, read_explorer, statements
-from workbook.site.pages import read_page
 from workbook.site.shapes import panels
 from workbook.site.states import kept_states, make_states, missing_states, states
 from workbook.site.stops import ladder
@@ -147,19 +144,6 @@ def test_the_two_that_change_the_picture_most_move_together():
         assert found["pictures"][place] == wanted
 
 
-@pytest.fixture
-def explorer(monkeypatch):
-    """Makes `compute` take a drawing function in place of a notebook's."""
-
-    def take(draw):
-        monkeypatch.setattr(states_of, "read_notebook", lambda name: None)
-        monkeypatch.setattr(
-            states_of, "read_explorer", lambda _: Explorer(draw, {"x": Slider(0.0, 1.0, 0.0)})
-        )
-
-    return take
-
-
 EXPLORER = """\
 from workbook import figures
 from workbook.explorer import Slider, explore
@@ -184,19 +168,6 @@ def test_pictures_are_computed_once_for_each_state_of_the_notebook(toy, monkeypa
     assert "computing the pictures of 1 explorers" in capsys.readouterr().out
     assert missing_states(tasks(), made) == []
     assert made[name]["count"] == 5
-    page = read_page(tasks(name)[0], [], base64.b64decode(made[name]["start"]))
-    assert page.figures == []  # a notebook without outputs has no place for it
-    text = (toy.root / f"notebooks/{name}.ipynb").read_text()
-    source = json.loads(text)
-    (cell,) = [each for each in source["cells"] if "explore(" in "".join(each["source"])]
-    shown = {"text/plain": "explorer at its start: x = 1"}
-    cell["outputs"] = [
-        {"output_type": "execute_result", "data": shown, "metadata": {}, "execution_count": None}
-    ]
-    toy.write(f"notebooks/{name}.ipynb", json.dumps(source))
-    (figure,) = read_page(tasks(name)[0], [], base64.b64decode(made[name]["start"])).figures
-    assert figure.csv is None and figure.size[0] > 100
-    toy.write(f"notebooks/{name}.ipynb", text)
     assert kept_states(tasks()) == made
     file = toy.root / "build" / "explorers" / f"{name}.json"
     before = file.stat().st_mtime_ns
