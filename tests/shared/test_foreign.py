@@ -323,8 +323,10 @@ def test_a_minimal_realisation_has_the_response_and_no_state_too_many(seed):
 
 
 def swept(loop, omega):
-    """Margins from a fine grid, by python-control's response alone."""
-    response = loop(np.exp(1j * omega * loop.dt) if loop.dt else 1j * omega)
+    """Margins from a fine grid, by the matrices alone."""
+    point = np.exp(1j * omega * loop.dt) if loop.dt else 1j * omega
+    states = np.linalg.solve(point[:, None, None] * np.eye(loop.nstates) - loop.A, loop.B + 0j)
+    response = (loop.C @ states + loop.D)[:, 0, 0]
     real = np.flatnonzero(response.imag[:-1] * response.imag[1:] < 0)
     factors = [
         -1 / response[k].real
@@ -348,7 +350,7 @@ def swept(loop, omega):
 def test_margins_are_those_of_a_fine_grid(time):
     rng = np.random.default_rng(5)
     tried = 0
-    while tried < 12:
+    while tried < 4:
         gain, pole, mode, damping = 10 ** rng.uniform([-1, 0, 0.5, -2], [1.5, 1, 1.5, -0.5])
         plant = ct.tf([gain * mode**2], np.polymul([1, pole, 0], [1, 2 * damping * mode, mode**2]))
         loop = ct.sample_system(ct.ss(plant), time) if time else ct.ss(plant)

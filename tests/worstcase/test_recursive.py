@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 
 from naive import worstcase as naive
 from stillwork.estimation import min_max_solve, track
-from stillwork.estimation.min_max import ZeroEstimateWarning
 from stillwork.estimation.recursive import GrowthLimitWarning, worst_case_residuals
 
 FORGETTING = 0.9
@@ -190,13 +189,3 @@ def test_worst_case_residuals_are_the_criterion():
     for t in (10, 59):
         A, b = naive.weighted(rows[: t + 1], outputs[: t + 1], FORGETTING)
         assert worst[t] == pytest.approx(min_max_solve(A, b, 0.6).worst_case_residual, rel=1e-11)
-
-
-def test_a_bound_that_explains_everything_away_warns():
-    rows, outputs = record(16)
-    with pytest.warns(ZeroEstimateWarning, match="zero"):
-        found = track(rows.T, outputs, FORGETTING, bound=50.0)
-    assert not found.estimates.any()
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        track(rows.T, outputs, FORGETTING, bound=0.5)
