@@ -3,9 +3,11 @@
 python benchmarks/isolators.py [FIRST] [LAST] [RESULTS.jsonl]
 python benchmarks/isolators.py microseism [FIRST] [LAST] [RESULTS.jsonl]
 python benchmarks/isolators.py slow [FIRST] [LAST]
+python benchmarks/isolators.py gusts [FIRST] [LAST]
 
 The second draws an isolator and a floor with a microseism for each number, and looks for a minute that is louder than
-promised; the third drives isolators to where slow motion breaks them.
+promised; the third drives isolators to where slow motion breaks them; the
+fourth lets those at the ends of their box settle from zero weights, and then meet a gust of the microseism and pushes.
 """
 
 import json
@@ -25,13 +27,16 @@ from stillwork.machine.isolation_design import binned, design_isolation, paths_t
 from workbook import paths
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
-from naive.isolators import FINE, CompiledLoop, band_rms, coloured, draw_isolator, microseism, moved
+from naive.isolators import FINE, CompiledLoop, Ends, band_rms, coloured, draw_isolator, microseism, moved
 
 AXES = (1, 2, 3, 4, 5, 6, 1, 2, 3, 6)  # of the ten
 RATE = 2000.0
 SPREAD = 0.05
 JUDGED_S = 60.0
 FLOORS = ("flat", "slab", "drift", "ground", "coloured")
+GUST, PUSH = 4.0, 0.05  # of the slow motion, added to it; m/s^2
+PUSHES = ((80.0, 0.3), (100.0, 1.0), (110.0, 0.6))  # s: start and length
+WITHIN = 1.1  # of the power, as settled
 MINUTES = 5  # judged on a microseism, each for itself
 GRID = np.geomspace(0.005, 950, 6000)  # Hz
 
@@ -174,6 +179,55 @@ def slow_motion(number: int) -> list[str]:
     return found
 
 
+def gusts(number: int, name: str) -> dict:
+    """An isolator at an end of its box from zero weights on: settling, excess, and the worst through a gust and pushes.
+
+    Each ten seconds are compared with those of the weights' mean of a calm minute, frozen.
+    """
+    rng, rate = np.random.default_rng(300 + number), RATE / 2
+    nominal = draw_isolator(rng, AXES[number % len(AXES)], rate)
+    true = moved(nominal, Ends(rng), SPREAD)
+    with tempfile.TemporaryDirectory() as holder:
+        folder = Path(holder)
+        (folder / "isolator.toml").write_text(nominal.toml())
+        file, unit, motion = make_floor(name, folder, true.floor.shape[1], rng, rate)
+        isolate_file(
+            str(folder / "isolator.toml"), str(file), str(folder / "out"), rate, unit=unit, spread=SPREAD
+        )
+        about = json.loads((folder / "out" / "isolator.json").read_text())
+        settling = max(about["settling_s"])
+        calm = 20 + 10 * int(np.ceil(settling / 10))  # s, with the rise of the filters
+        floor = motion(float(calm + 60 + 140))
+        time_s = np.arange(floor.shape[1]) / (FINE * rate) - (calm + 60)
+        slow = signal.sosfilt(signal.butter(3, 0.8, fs=FINE * rate, output="sos"), floor, axis=1)
+        floor += GUST * slow * np.clip(np.minimum(time_s - 10, 40 - time_s) / 3, 0, 1)
+        for start, length in PUSHES:
+            inside = (time_s > start) & (time_s < start + length)
+            floor[:, inside] += PUSH * np.sin(np.pi * (time_s[inside] - start) / length)
+        weights, found = 0 * np.array(about["weights"]), []
+        for adapting in (True, False):
+            loop, rms, kept = CompiledLoop(folder / "out", "isolator"), [], []
+            loop.begin(weights)
+            for k, part in enumerate(np.split(floor, len(time_s) // round(10 * FINE * rate), axis=1)):
+                platform, now, _ = loop.run(true, part, k, adapting)
+                rms.append(np.linalg.norm(band_rms(platform, FINE * rate, *about["judged_hz"])))
+                kept.append(now)
+            found.append(np.nan_to_num(rms, nan=1e9))
+            weights = np.mean(kept[calm // 10 : calm // 10 + 6], axis=0)
+    over = found[0] / found[1]
+    quiet = slice(calm // 10, calm // 10 + 6)
+    return {
+        "number": number,
+        "floor": name,
+        "axes": len(about["isolator"]["mass"]),
+        "time_constant_s": about["time_constant_s"],
+        "stated_s": settling,
+        "settled_s": 10 * int(np.argmax(over[2:] ** 2 < WITHIN)) + 10,
+        "excess": float(np.mean(over[quiet] ** 2) - 1),
+        "worst": float(over[calm // 10 + 6 :].max()),
+    }
+
+
 def main(first: str = "0", last: str = "10", results: str = "", *, slow: bool = False) -> None:
     """Try isolators, all but those that the file `results` holds already, and print one line each."""
     kept = Path(results) if results else None
@@ -211,6 +265,10 @@ if __name__ == "__main__":
     if sys.argv[1:2] == ["slow"]:
         for each in range(*map(int, sys.argv[2:4] or (0, 10))):
             print(each, *slow_motion(each), sep="  ", flush=True)
+    elif sys.argv[1:2] == ["gusts"]:
+        for each in range(*map(int, sys.argv[2:4] or (0, 10))):
+            for floor in ("flat", "slab", "drift", "ground", f"microseism {each}"):
+                print(gusts(each, floor), flush=True)
     elif sys.argv[1:2] == ["microseism"]:
         main(*sys.argv[2:5], slow=True)
     else:

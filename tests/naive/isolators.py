@@ -183,6 +183,16 @@ def moved(machine, rng, share):
     )
 
 
+class Ends:
+    """Draws at the ends of an interval alone, for `moved`."""
+
+    def __init__(self, rng):
+        self.rng = rng
+
+    def uniform(self, low, high, size=None):
+        return self.rng.choice([float(low), float(high)], size)
+
+
 def coloured(rng, hertz, density, samples, rate, sensors, common=0.0):
     """Gaussian floor with a density, (m/s^2)^2/Hz, at every sensor; `common` of its power is alike at all."""
     lines = np.fft.rfftfreq(samples, 1 / rate)
@@ -224,15 +234,15 @@ class CompiledLoop:
         getattr(self.library, f"{name}_start")(self.state)
         self.done = 0
 
-    def forget(self, weights):
-        """Start again with zero in place of `weights`, and the covariance of the design."""
+    def begin(self, weights):
+        """Start again with these weights, and the covariance of the design."""
         axes, regressors = np.shape(weights)
         stored = np.zeros(axes * regressors + regressors * (regressors + 1) // 2)
         given = stored.ctypes.data_as(ctypes.c_void_p)
         getattr(self.library, f"{self.name}_store")(self.state, given)
         place = 0
         for regressor in range(regressors):
-            stored[place : place + axes] = 0
+            stored[place : place + axes] = np.asarray(weights)[:, regressor]
             place += axes + regressor + 1
         assert getattr(self.library, f"{self.name}_restore")(self.state, given)
 
