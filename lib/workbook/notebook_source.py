@@ -7,7 +7,7 @@ import re
 from workbook import paths
 from workbook.notebooks import Notebook
 
-BARE = r"(\w+\\.)?\.\+"  # the pattern of a variable, with or without the topic before it
+BARE = r"(\w+\\\.)?\.\+"  # the pattern of a variable, with or without the topic before it
 PACKAGES = ("stillwork", "workbook", "experiments", "notebooks")  # and those of the workbook's own
 
 

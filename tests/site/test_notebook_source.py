@@ -17,6 +17,7 @@ def test_claims_and_figures_are_found_in_their_order():
     source = 'page.check("topic.table-2.a", 1)\nother.check("topic.fig-1.a")\npage.check("topic.fig-1.b", 2)'
     assert notebook_source.claims_checked(source, IDS) == ["topic.table-2.a", "topic.fig-1.b"]
     assert notebook_source.figures_saved('page.save("fig-5", figure)', ["fig-5", "fig-55"]) == ["fig-5"]
+    assert notebook_source.figures_saved('page.save(f"fig-{name}", figure)', ["fig-5", "map"]) == ["fig-5"]
 
 
 @pytest.mark.parametrize(
