@@ -337,28 +337,6 @@ def table(path, columns, separator=",", decimal=".", head=""):
 
 
 SIZE, ANGLE = np.abs(ACCELERANCE), np.angle(ACCELERANCE)
-FILES = {
-    "names alone": {"freq_rad_s": TURN * HZ, "mag_db": 20 * np.log10(SIZE), "phase_rad": ANGLE},
-    "kHz": {"frequency_khz": HZ / 1000, "magnitude_dB": 20 * np.log10(SIZE), "phase": ANGLE / DEGREE},
-    "analyser": {
-        "Frequency(Hz)": HZ, "CH1 Amplitude(dB)": 20 * np.log10(SIZE), "CH1 Phase(Deg)": ANGLE / DEGREE
-    },
-    "compliance": {
-        "f [Hz]": HZ, "mag [um/N]": 1e6 * SIZE / (TURN * HZ) ** 2, "phase [rad]": ANGLE + math.pi
-    },
-}  # fmt: skip
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", FILES)
-def test_a_frequency_response_is_read_in_the_units_of_its_names(tmp_path, name):
-    file = load_machine(table(tmp_path / "a.csv", FILES[name]))
-    assert file.accelerance.omega == pytest.approx(TURN * HZ)
-    assert np.abs(file.accelerance.response / ACCELERANCE - 1).max() < 1e-8
-    assert "frequency response of a machine" in inspect_file(str(tmp_path / "a.csv"))
-    np.savez(tmp_path / "a.npz", **FILES[name])
-    again = load_machine(tmp_path / "a.npz").accelerance
-    assert np.abs(again.response / ACCELERANCE - 1).max() < 1e-8
 
 
 def test_several_responses_in_one_table_need_a_choice(tmp_path):

@@ -105,6 +105,7 @@ def universal(code, factors, data, kinds, **more):
     return lambda file: write_universal(file, [system, function("frf", HZ, data, **axes, **more)])
 
 
+DECIBELS, ANGLE = 20 * np.log10(np.abs(ACCELERANCE)), np.angle(ACCELERANCE)
 POLAR = [HZ, np.abs(ACCELERANCE), np.degrees(np.angle(ACCELERANCE))]
 PAIR = [HZ, ACCELERANCE.real, ACCELERANCE.imag]
 SHAPED = {"shapeit_data": {"w": TURN * HZ[:, None], "P": {"frf": ACCELERANCE[:, None], "name": "stage"}}}
@@ -125,6 +126,10 @@ WRITTEN = {
     "two lines.txt": savetxt(PAIR, header="f Re Im\nHz m/s^2/N m/s^2/N", delimiter="\t"),
     "brackets.csv": text("Freq,Real H1(2,1),Imag H1(2,1)", *PAIR),
     "arguments.csv": text("Freq,Re(H1(2,1)),Im(H1(2,1))", *PAIR),
+    "names alone.csv": text("freq_rad_s,mag_db,phase_rad", TURN * HZ, DECIBELS, ANGLE),
+    "kilohertz.csv": text("frequency_khz,magnitude_dB,phase", HZ / 1000, DECIBELS, np.degrees(ANGLE)),
+    "analyser.csv": text("Frequency(Hz),CH1 Amplitude(dB),CH1 Phase(Deg)", HZ, DECIBELS, np.degrees(ANGLE)),
+    "compliance.csv": text("f [Hz],mag [um/N],phase [rad]", HZ, 1e6 * np.abs(COMPLIANCE), np.angle(COMPLIANCE)),
     "bare.csv": text("X-Axis,Real,Imag", *PAIR),
     "axis.csv": text("X-Axis Hz,Y-Axis Real,Y-Axis Imag", *PAIR),
     "millimetres.uff": universal(5, (1e3, 1e3), ACCELERANCE, (12, 13)),
