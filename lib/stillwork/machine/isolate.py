@@ -163,7 +163,7 @@ def isolate_file(
         "floor": spectra.source,
         "rate_hz": rate,
     } | _record_of(design, found)
-    about["settling_s"] = [settling[0], max(settling)]
+    about["settling_s"] = [each if np.isfinite(each) else None for each in (settling[0], max(settling))]
     if run:
         about["replay"] = run.record()
     files[f"{name}.json"] = json.dumps(about, indent=1, allow_nan=False) + "\n"

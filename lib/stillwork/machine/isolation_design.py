@@ -213,8 +213,7 @@ def try_loop(
     if step is None:
         moves = scatter(responses, steady, widths, floor.density, *noises, loop.rate, algorithm)
         added = _added_motion(responses, moves, floor, noises[0], loop.rate, inside, share)
-        known = PERIODS * len(steady.correlation) / loop.shaping.highpass_hz
-        slowest = known
+        slowest = PERIODS * len(steady.correlation) / loop.shaping.highpass_hz
         while slowest < BEYOND_S and not (
             added(slowest) <= variance * motion and mismatch.loop_gain(level, slowest) <= LIMIT
         ):
@@ -281,12 +280,15 @@ def _added_motion(
 
 @checked
 def settling_time(design: IsolationDesign, floor: FloorSpectra) -> float:
-    """Time (s) in which the mean of the weights goes from zero to where the remaining motion has `WITHIN` more than its power."""
+    """Time (s) in which the mean of the weights goes from zero to where the remaining motion has `WITHIN` times its power.
+
+    Infinite where it takes a thousand time constants or more.
+    """
     steady, rate = design.steady, design.step * design.loop.rate
-    recursive = isinstance(design.settings, FeRls)
-    one = np.eye(len(steady.weights))
-    scale = np.kron(one, np.linalg.inv(steady.correlation)) if recursive else 1 / np.trace(steady.correlation)
-    moves = scale @ steady.update if recursive else scale * steady.update
+    moves = steady.update / np.trace(steady.correlation)
+    if isinstance(design.settings, FeRls):
+        one = np.eye(len(steady.weights))
+        moves = np.kron(one, np.linalg.inv(steady.correlation)) @ steady.update
     noises = design.isolator.floor_noise, design.isolator.platform_noise
     inside = (floor.frequencies_hz >= LOWEST_HZ) & (floor.frequencies_hz <= design.loop.shaping.lowpass_hz)
 
@@ -299,7 +301,7 @@ def settling_time(design: IsolationDesign, floor: FloorSpectra) -> float:
     if more(0.0) <= 0:
         return 0.0
     if more(longest) > 0:
-        return longest
+        return np.inf
     return float(optimize.brentq(more, 0.0, longest, rtol=1e-3)) + design.loop.smoothing
 
 
