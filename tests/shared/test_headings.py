@@ -132,6 +132,8 @@ HEADERS = {
     "x_axis_ms": ("time", 1e-3),
     "X-Axis": ("", DEFAULT),
     "Y-Axis Real": ("real", DEFAULT),
+    "Real H(2,1)": ("real", DEFAULT),
+    "Mag H [um/N]": ("magnitude", 1e-6),
     "Re(H1(2,1)) [um/N]": ("real", 1e-6),
     "H_{y[0], u[0]}": ("", DEFAULT),
     "X (ms)": ("time", 1e-3),

@@ -150,7 +150,10 @@ def frequency_axis(columns: dict[str, np.ndarray]) -> str:
     """
     real = {name: column for name, column in columns.items() if column.size > 1 and column.dtype.kind != "c"}
     names = [name for name in real if heading(name).quantity == "frequency"]
-    if not names and {"imaginary", "phase"} & {heading(name).quantity for name in real}:
+    quantities = {heading(name).quantity for name in real}
+    response = {"real", "imaginary"} <= quantities or {"magnitude", "phase"} <= quantities
+    response = response or any(column.dtype.kind == "c" for column in columns.values())
+    if not names and response and not {"time", "rate"} & quantities:
         names = [name for name in real if is_bare_abscissa(name)]
     for other in names[1:]:
         one, two = (hertz_in(name) * np.ravel(columns[name]) for name in (names[0], other))

@@ -218,6 +218,8 @@ def _at_the_end(text: str) -> tuple[str, tuple[str, Unit] | None]:
 
 def _is_stated(text: str, unit: Unit, quantity: str) -> bool:
     """Whether what stands at the end of a name is its unit: no single letter, minimum or ratio of what is not understood."""
+    if quantity in RESPONSES and text.lower() == "h":  # no hours
+        return False
     if quantity in STRICT or (quantity and unit.si in HOLDS[quantity][1]):
         return True
     return len(text) > 1 and (unit.decibels or unit.si not in ("s", "Hz", "1"))

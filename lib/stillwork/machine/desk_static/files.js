@@ -130,8 +130,9 @@ function responseOf(columns, names) {
 // A machine out of a CSV file; `units` {response, drive} where the file does not say them.
 export function machineOfTable(text, name, units = {}) {
   const columns = parseTable(text), names = Object.keys(columns), quantities = names.map((each) => heading(each).quantity);
-  const parts = ["imaginary", "phase"].some((each) => quantities.includes(each));
-  const axis = names[quantities.indexOf("frequency")] ?? (parts ? names.find(isBareAbscissa) : undefined);
+  const holds = (...each) => each.every((quantity) => quantities.includes(quantity));
+  const bare = (holds("real", "imaginary") || holds("magnitude", "phase")) && !holds("time") && !holds("rate");
+  const axis = names[quantities.indexOf("frequency")] ?? (bare ? names.find(isBareAbscissa) : undefined);
   if (axis === undefined) {
     const first = names.map((each) => each.toLowerCase().split(/[\s([_\d]/)[0]), has = (...words) => words.every((word) => first.includes(word));
     throw new Error(

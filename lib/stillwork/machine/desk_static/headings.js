@@ -116,6 +116,7 @@ function quantityOf(words) {
 const fits = (quantity, unit) => HOLDS.get(quantity)[1].includes(unit.si);
 
 function isStated([text, unit], quantity) {
+  if (TABLE.responses.includes(quantity) && text.toLowerCase() === "h") return false; // no hours
   if (TABLE.strict.includes(quantity) || (quantity && fits(quantity, unit))) return true;
   return text.length > 1 && (unit.decibels || !["s", "Hz", "1"].includes(unit.si));
 }
