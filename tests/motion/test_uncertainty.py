@@ -73,10 +73,7 @@ def test_a_peak_between_the_lines_of_the_grid_is_seen():
     peak = perturbed_loop(loop, there).peak(pid, name)
     kept = np.abs(box.omega / peak.omega - 1) > 0.02
     coarse = box._replace(
-        **{
-            each: getattr(box, each)[kept]
-            for each in ("omega", "parts", "places", "fixed", "middles", "radii")
-        }
+        **{each: getattr(box, each)[kept] for each in ("omega", "rows", "fixed", "middles", "radii")}
     )
     ((shown, _),) = coarse.worst(loop, pid, [PeakConstraint(name)], every=True, exact=False)
     assert 0.995 * peak.magnitude < shown < 0.9995 * peak.magnitude

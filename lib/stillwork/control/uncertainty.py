@@ -309,16 +309,20 @@ _recent: deque[tuple[tuple, "Box"]] = deque(maxlen=4)
 
 
 def _moved_to(omega: np.ndarray, known: "Box", asked: tuple) -> "Box":
-    """A box on another grid, of which only the frequencies that its own lacks are computed."""
-    more = np.setdiff1d(omega, known.omega)
-    boxes = [known, _box_on(more, *asked)] if len(more) else [known]
-    every = np.concatenate([box.omega for box in boxes])
-    order = every.argsort()
-    order = order[np.isin(every[order], omega)]
-    rows = ("omega", "parts", "places", "fixed", "middles", "radii")
-    joined: dict[str, Any] = {
-        name: np.concatenate([getattr(box, name) for box in boxes])[order] for name in rows
-    }
+    """A box on another grid, of which only the frequencies that its own lacks are computed.
+
+    The parts are not copied: of many modes they are hundreds of megabytes.
+    """
+    there = np.isin(omega, known.omega)
+    rows = np.searchsorted(known.omega, omega)
+    rows[~there] = -1 - np.arange(np.sum(~there))
+    rest = ("parts", "places", "fixed", "middles", "radii")
+    none = known._replace(**{name: getattr(known, name)[:0] for name in rest})
+    own = none if there.all() else _box_on(omega[~there], *asked)
+    joined: dict[str, Any] = {"omega": omega, "rows": rows, "own_parts": own.parts, "own_places": own.places}
+    for name in rest[2:]:
+        joined[name] = np.empty(len(omega), getattr(known, name).dtype)
+        joined[name][there], joined[name][~there] = getattr(known, name)[rows[there]], getattr(own, name)
     return known._replace(**joined)
 
 
@@ -370,7 +374,9 @@ def _box_on(
     late_by = np.exp(-1j * omega[:, None] * delays)
     gain = uncertainty.gain
     discs = _discs(parts, sizes, fixed, low, high, 1 - gain, 1 + gain, late_by)
-    return Box(omega, parts, sizes, places, ratios, fixed, low, high, gain, delays, drags, *discs)
+    rows = np.arange(len(omega))
+    whole = omega, rows, parts, places, parts[:0], places[:0], sizes, ratios, fixed
+    return Box(*whole, low, high, gain, delays, drags, *discs)
 
 
 def _drags(drag: float, spread: float) -> np.ndarray:
@@ -430,9 +436,12 @@ class Box(NamedTuple):
     """The parts of a plant on a grid at all points of the box that are tried."""
 
     omega: np.ndarray  # (frequencies,), rad/s
-    parts: np.ndarray  # (frequencies, modes, places), m/N
+    rows: np.ndarray  # (frequencies,), of each in `parts`; below 0 in `own_parts`: -1 is the first
+    parts: np.ndarray  # (rows, modes, places), m/N
+    places: np.ndarray  # (rows, modes, places), rad/s
+    own_parts: np.ndarray  # likewise, of the frequencies that another grid lacks
+    own_places: np.ndarray
     sizes: np.ndarray  # (modes,), how many of the places there are
-    places: np.ndarray  # (frequencies, modes, places), rad/s
     ratios: np.ndarray  # (modes, places), factors on the damping
     fixed: np.ndarray  # (frequencies,), m/N, of the compliance
     low: np.ndarray  # (modes,), least factor on each part ...
@@ -489,7 +498,8 @@ class Box(NamedTuple):
                 continue
             frequencies = loop.plant.frequencies
             modes = np.arange(len(taken))
-            there = self.places[row, modes, taken]
+            row = self.rows[row]
+            there = self.places[row, modes, taken] if row >= 0 else self.own_places[-1 - row, modes, taken]
             moved = np.divide(there, frequencies, out=np.ones(len(there)), where=frequencies > 0)
             friction = float(self.drags[taken[0]] - loop.plant.drag) if len(self.drags) > 1 else 0.0
             place = Perturbation(
@@ -531,9 +541,9 @@ def _discs(parts, sizes, fixed, low, high, least_gain, most_gain, late):
 @kernel
 def _worst(box, ratio, late, least, starts, first):
     """Largest square of |1 + (a + bP)/(c + dP)| above `least`, P anywhere in the box: its row and what P is made of."""
-    parts, sizes, fixed, low, high = box.parts, box.sizes, box.fixed, box.low, box.high
+    sizes, fixed, low, high = box.sizes, box.fixed, box.low, box.high
     least_gain, most_gain = 1 - box.gain, 1 + box.gain
-    rows, modes = parts.shape[0], parts.shape[1]
+    rows, modes = len(box.rows), len(sizes)
     best, best_row, best_gain, best_late = least, -1, 1.0, 0
     best_taken, best_parts = np.zeros(modes, np.int64), np.ones(modes)
     taken, factors = np.zeros(modes, np.int64), np.ones(modes)
@@ -544,6 +554,8 @@ def _worst(box, ratio, late, least, starts, first):
         below = abs(c + d * middle) - abs(d) * radius
         if below > 0 and (abs(a + c + (b + d) * middle) + abs(b + d) * radius) ** 2 <= best * below**2:
             continue
+        at = box.rows[row]
+        parts = box.parts[at] if at >= 0 else box.own_parts[-1 - at]
         for start in range(starts):
             gain, when = 1.0, 0
             whole = fixed[row]
@@ -553,21 +565,21 @@ def _worst(box, ratio, late, least, starts, first):
                 else:
                     taken[k] = ((row + 1) * 7919 * (k + 1) + start * 104729) % sizes[k]
                 factors[k] = 1.0
-                whole += parts[row, k, taken[k]]
+                whole += parts[k, taken[k]]
             for _ in range(SWEEPS):
                 for k in range(modes):
-                    others = whole - factors[k] * parts[row, k, taken[k]]
+                    others = whole - factors[k] * parts[k, taken[k]]
                     turn = gain * late[row, when]
                     if sizes[k] > 1:
                         most = -1.0
                         for j in range(sizes[k]):
-                            p = turn * (others + factors[k] * parts[row, k, j])
+                            p = turn * (others + factors[k] * parts[k, j])
                             under = c + d * p
                             over = under + (a + b * p)
                             size = (over.real**2 + over.imag**2) / (under.real**2 + under.imag**2)
                             if size > most:
                                 most, taken[k] = size, j
-                    own = parts[row, k, taken[k]]
+                    own = parts[k, taken[k]]
                     if high[k] > low[k]:
                         base = turn * others
                         factors[k] = largest_along(
