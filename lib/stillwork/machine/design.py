@@ -23,7 +23,7 @@ from stillwork.control.uncertainty import NAMES
 from stillwork.identification.machine import TURNED, Machine
 from stillwork.identification.machine_files import MachineFile, load_machine
 from stillwork.machine.c_code import controller_code, require_names
-from stillwork.machine.design_page import beyond, box_table, report
+from stillwork.machine.design_page import box_table, report
 from stillwork.machine.export import require_free, write_folder
 from stillwork.machine.hardware import ALLOWED_DB, SensorNoise, noise_rows, sensor_noise, single_rows
 from stillwork.machine.loop_margins import computed_numbers
@@ -39,7 +39,7 @@ from stillwork.machine.machine_designs import (
     stated_uncertainty,
 )
 from stillwork.machine.progress import count_steps
-from stillwork.machine.promise import checked_biquads, over_the_box, over_the_phases, recheck
+from stillwork.machine.promise import beyond, checked_biquads, over_the_box, over_the_phases, recheck
 from stillwork.machine.readings import build_explained
 
 MOST_LATE = 20  # samples either way, of a delay's uncertainty
@@ -208,12 +208,13 @@ def design_file(
     reached = made.found[made.ranking[0]]
     pid, loops = reached.safe.controller, reached.model_loops
     computed = computed_numbers([*loops, *reached.perturbed], pid, [each.model for each in controllers])
+    without = beyond(made)
     answer = [
-        *_answer(made, held, peaks),
+        *_answer(made, held, peaks, without),
         f"C and reasons: {folder}: {', '.join(sorted([*code, 'report.html']))}",
     ]
     about = [*_facts(given, made), *facts]
-    text = report(made, answer[:2], controllers, peaks, computed, helps, held, about)
+    text = report(made, answer[:2], controllers, peaks, computed, helps, held, about, without)
     (Path(folder) / "report.html").write_text(text, encoding="utf-8")
     if not verbose:
         return answer
@@ -232,7 +233,9 @@ def design_file(
     ]
 
 
-def _answer(made: Designed, held: list[list[str]], peaks: dict[str, dict[str, float]]) -> list[str]:
+def _answer(
+    made: Designed, held: list[list[str]], peaks: dict[str, dict[str, float]], without: str
+) -> list[str]:
     """What was chosen and what it promises, one line each."""
     best = made.ranking[0]
     found = made.found[best]
@@ -243,7 +246,7 @@ def _answer(made: Designed, held: list[list[str]], peaks: dict[str, dict[str, fl
         box = f"the model alone, as no uncertainty was stated: {sizes}"
     return [
         f"{made.machine.source}: {best}{waits}, with a bandwidth of {in_hertz(crossing(found))} Hz, stopped by {found.summary['stopped by']}",
-        f"the promise of 6 dB holds for {box}{beyond(made.machine)}",
+        f"the promise of 6 dB holds for {box}{without and '; ' + without}",
     ]
 
 

@@ -49,15 +49,6 @@ def box_table(machine: Machine, spread: Uncertainty, margins: dict[str, float]) 
     return rows
 
 
-def beyond(machine: Machine) -> str:
-    """What the promise is without, where the model is that of a measured band."""
-    if machine.fit is None:
-        return ""
-    return (
-        f"; not for modes above the measured band, which ends at {machine.fit.omega[-1] / (2 * np.pi):.4g} Hz"
-    )
-
-
 def report(
     made: Designed,
     answer: list[str],
@@ -67,6 +58,7 @@ def report(
     helps: list[list[str]] | None,
     box: list[list[str]],
     about: list,
+    beyond: str,
 ) -> str:
     """One page: the answer, the machine, the bandwidth of each use of an observer, the peaks of the choice, and how to run it."""
     machine, reached = made.machine, made.found[made.ranking[0]]
@@ -86,7 +78,7 @@ def report(
         answer="".join(f"<p>{html.escape(line)}</p>\n" for line in answer),
         facts=table([], facts),
         box=table([], box or [["everything", "exactly as in the model: no uncertainty was stated"]]),
-        beyond=html.escape(beyond(machine).removeprefix("; ").capitalize()),
+        beyond=html.escape(beyond.capitalize()),
         uses=uses_table(made),
         peaks=table(["peak", *where], sizes),
         computed=table([], list(map(list, computed))),

@@ -5,13 +5,20 @@ from collections.abc import Sequence
 import numpy as np
 
 from stillwork.base.checks import InputError
-from stillwork.control.bandwidth import Loop
+from stillwork.control.bandwidth import SIX_DB, Loop
 from stillwork.control.digital import DigitalController, equivalent_biquads, from_biquads
+from stillwork.control.loops import LoopResponse
 from stillwork.control.machine_loops import HELD, OF_ERROR, AchievableBandwidth, encirclement_difference
 from stillwork.control.phased_loops import phased_loops, phased_places
 from stillwork.control.uncertainty import Uncertainty, make_box
 from stillwork.machine.hardware import ALLOWED_DB, own_functions, peak_with, section_response
 from stillwork.machine.machine_designs import Designed
+
+FOLDS, LOOKED, PHASES = (
+    10,
+    4000,
+    48,
+)  # of modes beyond the band: to how many rates, at how many frequencies and phases
 
 
 def over_the_box(reached: AchievableBandwidth, spreads: Sequence[Uncertainty]) -> dict[str, float]:
@@ -26,6 +33,43 @@ def over_the_box(reached: AchievableBandwidth, spreads: Sequence[Uncertainty]) -
         for loop, spread in pairs
     ]
     return dict(zip(HELD, np.max(sizes, axis=0).tolist(), strict=True))
+
+
+def breaking_hz(made: Designed, use: str) -> float:
+    """Up to which frequency (Hz) beyond the measured band one mode more could break the promise of a use; 0: at none.
+
+    The mode has the largest share and the smallest damping ratio of those in the model. At its resonance, where the
+    processor sees it folded and behind the hold, it adds so much to the plant at whatever phase.
+    """
+    machine, reached, rate = made.machine, made.found[use], made.rate
+    if machine.fit is None:
+        return 0.0
+    model, end = machine.sensors[0], machine.fit.omega[-1] / (2 * np.pi)
+    share = np.abs(model.input_shapes[1:, 0] * model.output_shapes[0, 1:]).max()
+    hertz = np.linspace(end, max(FOLDS * rate, 2 * end), LOOKED)
+    folded = np.maximum(np.abs(hertz / rate - np.round(hertz / rate)), 1 / LOOKED) * rate
+    added = share / (2 * model.damping[1:].min() * (2 * np.pi * hertz) ** 2) * np.abs(np.sinc(hertz / rate))
+    turned = added * np.exp(2j * np.pi * np.arange(PHASES) / PHASES)[:, None]
+    breaks = np.zeros(LOOKED, dtype=bool)
+    for loop in reached.model_loops:
+        at = loop.at(reached.safe.controller, 2 * np.pi * folded)
+        with_it = LoopResponse(at.plant + turned, at.observer, at.controller)
+        for name in HELD:
+            breaks |= np.abs(getattr(with_it, name)).max(axis=0) > SIX_DB
+    return float(hertz[breaks].max(initial=0.0))
+
+
+def beyond(made: Designed) -> str:
+    """What the promise is without, where the model is that of a measured band, and how far to measure."""
+    if made.machine.fit is None:
+        return ""
+    hertz = breaking_hz(made, made.ranking[0])
+    further = (
+        f"; one as large and as lightly damped as any in it could break it up to {hertz:.4g} Hz: measure to there"
+        if hertz
+        else ""
+    )
+    return f"not for modes above the measured band, which ends at {made.machine.fit.omega[-1] / (2 * np.pi):.4g} Hz{further}"
 
 
 def over_the_phases(

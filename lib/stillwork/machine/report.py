@@ -25,6 +25,7 @@ from stillwork.machine.html_page import page, picture, require_new, table
 from stillwork.machine.inspect import inspect_file
 from stillwork.machine.machine_designs import DELAY, EACH, USES, search_designs, stated_uncertainty
 from stillwork.machine.progress import count_steps
+from stillwork.machine.promise import beyond
 from stillwork.machine.readings import believed, require_explained
 from stillwork.signals.datafiles import read_arrays, read_columns
 from stillwork.signals.densities import (
@@ -173,6 +174,8 @@ def _machine(source: Path, arrays, arguments) -> Iterator[str | tuple[str, str]]
         yield Answer(f"no loop was searched: {error}")
     else:
         yield Answer(made.ranking_line)
+        if made.ranking:
+            yield f"a loop of {made.ranking[0]} keeps its 6 dB {beyond(made)}"
         yield from made.lines()[:-1]
         yield "Bandwidth with a PID controller, and what an observer adds", uses_table(made)
 
