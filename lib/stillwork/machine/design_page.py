@@ -78,7 +78,7 @@ def report(
         answer="".join(f"<p>{html.escape(line)}</p>\n" for line in answer),
         facts=table([], facts),
         box=table([], box or [["everything", "exactly as in the model: no uncertainty was stated"]]),
-        beyond=html.escape(beyond.capitalize()),
+        beyond=html.escape(beyond[:1].upper() + beyond[1:]),
         uses=uses_table(made),
         peaks=table(["peak", *where], sizes),
         computed=table([], list(map(list, computed))),

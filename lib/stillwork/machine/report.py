@@ -174,8 +174,8 @@ def _machine(source: Path, arrays, arguments) -> Iterator[str | tuple[str, str]]
         yield Answer(f"no loop was searched: {error}")
     else:
         yield Answer(made.ranking_line)
-        if made.ranking:
-            yield f"a loop of {made.ranking[0]} keeps its 6 dB {beyond(made)}"
+        if made.ranking and (without := beyond(made)):
+            yield f"the 6 dB of {made.ranking[0]} hold {without}"
         yield from made.lines()[:-1]
         yield "Bandwidth with a PID controller, and what an observer adds", uses_table(made)
 
