@@ -2,15 +2,12 @@
 
 import json
 import re
-import shutil
-import subprocess
 
 import numpy as np
 import pytest
 from scipy import signal
 
 from stillwork import control, lti
-from stillwork.__main__ import main
 from stillwork.base.checks import InputError
 from stillwork.control.applications import Application
 from stillwork.control.bandwidth import make_loop
@@ -24,9 +21,7 @@ from stillwork.identification.machine import Machine
 from stillwork.identification.machine_files import load_machine
 from stillwork.lti.discretisation import prewarped
 from stillwork.lti.state_space import constant
-from stillwork.machine.design import design_file
-from stillwork.machine.desk import EXAMPLE, desk_file, entry, machine_to_begin_with, read_machine
-from stillwork.machine.desk_page import modules, offline_page, script
+from stillwork.machine.desk import desk_file, entry
 from workbook import paths
 
 DESIGNS = 60
@@ -34,27 +29,6 @@ CLOSE = 1e-9
 ROUNDING = 1e-11  # relative, of a magnitude of 1 beside the point -1
 TURN = 2 * np.pi
 INTENSITIES = {"disturbance": 8e-4, "sensor": 1.41e-9, "drift": 1.92e-4}
-
-
-@pytest.fixture(scope="module")
-def node(tmp_path_factory):
-    """``node(calls)``: results of calls (module, name, *arguments) of the desk's modules."""
-    if shutil.which("node") is None:
-        pytest.skip("node is not installed, which runs the desk's modules: apt-get install nodejs")
-    folder = tmp_path_factory.mktemp("modules")
-    for name, text in modules().items():
-        (folder / name).write_text(text, encoding="utf-8")
-    (folder / "package.json").write_text('{"type": "module"}')
-
-    def run(calls):
-        asked = [{"module": each[0], "name": each[1], "arguments": each[2:]} for each in calls]
-        command = ["node", str(paths.root() / "tests" / "desk" / "run.mjs"), str(folder)]
-        text = json.dumps(asked, default=lambda value: value.tolist())
-        done = subprocess.run(command, input=text, capture_output=True, text=True)
-        assert done.returncode == 0, done.stderr
-        return json.loads(done.stdout)
-
-    return run
 
 
 def values(results):
@@ -148,77 +122,52 @@ def test_every_function_of_a_loop_is_that_of_the_library(node):
     assert 6 < np.count_nonzero(unstable) < DESIGNS - 6  # both kinds were seen
 
 
-def chain(rng):
-    """Random blocks of every kind, and SciPy's zeros and poles of each in continuous time: (numerator, denominator)."""
-    f = lambda: float(np.exp(rng.uniform(0, 6)))  # noqa: E731
-    gain, damping, depth, width = (float(x) for x in rng.uniform(0.1, 1.5, 4))
-    a, b, c, d, e, g, h, i, j, n, skew = (*(f() for _ in range(10)), float(rng.uniform(0.5, 2)))
-    w = lambda hertz: TURN * hertz  # noqa: E731
-    known = [
-        ({"kind": "gain", "value": gain}, [gain], [1]),
-        (
-            {
-                "kind": "pid",
-                "gain": gain,
-                "integrator_hz": a,
-                "differentiator_hz": b,
-                "low_pass_hz": c,
-                "damping": damping,
-            },
-            gain * w(c) ** 2 * np.polymul([1, w(a)], [1 / w(b), 1]),
-            np.polymul([1, 0], [1, 2 * damping * w(c), w(c) ** 2]),
+# Numbers of a block, and its numerator and denominator in s; `at` makes a frequency of Hz, where Tustin's rule takes it.
+BLOCKS = {
+    "gain": (("value",), lambda at, g: ([g], [1])),
+    "lead": (("zero_hz", "pole_hz"), lambda at, z, p: ([1 / TURN / z, 1], [1 / TURN / p, 1])),
+    "lag": (("zero_hz", "pole_hz"), lambda at, z, p: ([1, TURN * z], [1, TURN * p])),
+    "integrator": (("zero_hz",), lambda at, z: ([1, TURN * z], [1, 0])),
+    "low_pass_1": (("corner_hz",), lambda at, c: ([TURN * c], [1, TURN * c])),
+    "low_pass_2": (
+        ("corner_hz", "damping"),
+        lambda at, c, z: ([(TURN * c) ** 2], [1, 2 * z * TURN * c, (TURN * c) ** 2]),
+    ),
+    "notch": (
+        ("frequency_hz", "skew", "depth", "width"),
+        lambda at, f, skew, depth, width: (
+            [at(f) ** -2, 2 * depth / at(f), 1],
+            [at(skew * f) ** -2, 2 * width / at(skew * f), 1],
         ),
-        ({"kind": "lead", "zero_hz": d, "pole_hz": e}, [1 / w(d), 1], [1 / w(e), 1]),
-        ({"kind": "lag", "zero_hz": g, "pole_hz": h}, [1, w(g)], [1, w(h)]),
-        ({"kind": "integrator", "zero_hz": i}, [1, w(i)], [1, 0]),
-        ({"kind": "low_pass_1", "corner_hz": j}, [w(j)], [1, w(j)]),
-        (
-            {"kind": "low_pass_2", "corner_hz": a, "damping": damping},
-            [w(a) ** 2],
-            [1, 2 * damping * w(a), w(a) ** 2],
-        ),
-        (
-            {"kind": "notch", "frequency_hz": n, "skew": skew, "depth": depth, "width": width},
-            None,
-            (n, skew, depth, width),
-        ),
-    ]
-    chosen = rng.choice(len(known), rng.integers(1, 5), replace=False)
-    return [known[k] for k in chosen]
-
-
-def notch(about, sample_time):
-    """Zeros and poles at the frequencies that were typed, where Tustin's rule takes them."""
-    hertz, skew, depth, width = about
-    zero, pole = (
-        2 / sample_time * np.tan(TURN * f * sample_time / 2) if sample_time else TURN * f
-        for f in (hertz, skew * hertz)
-    )
-    return [1 / zero**2, 2 * depth / zero, 1], [1 / pole**2, 2 * width / pole, 1]
+    ),
+}
 
 
 @pytest.mark.slow
 def test_every_block_responds_as_scipy_says(node):
-    """Continuous and by Tustin's rule; the biquads respond as their blocks do."""
+    """Random ones in a row, continuous and by Tustin's rule; the biquads respond as their blocks do."""
     rng = np.random.default_rng(31)
-    calls, wanted = [], []
-    for number_of in range(DESIGNS):
-        blocks, sample_time = chain(rng), 0.0 if number_of % 2 else 1 / 4000
-        omega = TURN * np.geomspace(0.3, 1900, 50)
-        response = np.ones(len(omega), complex)
-        for _, numerator, denominator in blocks:
-            top, below = notch(denominator, sample_time) if numerator is None else (numerator, denominator)
+    omega, calls, wanted = TURN * np.geomspace(0.3, 1900, 50), [], []
+    for sample_time in [0.0, 1 / 4000] * (DESIGNS // 2):
+        blocks, response = [], np.ones(len(omega), complex)
+
+        def at(hertz, h=sample_time):
+            return 2 / h * np.tan(TURN * hertz * h / 2) if h else TURN * hertz
+
+        for kind in rng.choice(list(BLOCKS), rng.integers(1, 5), replace=False):
+            names, polynomials = BLOCKS[kind]
+            numbers = [np.exp(rng.uniform(0, 6)) if "hz" in name else rng.uniform(0.5, 1.5) for name in names]
+            blocks.append({"kind": str(kind)} | dict(zip(names, map(float, numbers), strict=True)))
+            above, below = polynomials(at, *numbers)
             if sample_time:
-                zpk = signal.bilinear_zpk(*signal.tf2zpk(top, below), 1 / sample_time)
+                zpk = signal.bilinear_zpk(*signal.tf2zpk(above, below), 1 / sample_time)
                 response *= signal.freqz_zpk(*zpk, omega * sample_time)[1]
             else:
-                response *= signal.freqs(top, below, omega)[1]
-        design = {"blocks": [each[0] for each in blocks]}
-        if sample_time:
-            design["blocks"].append({"kind": "sampling", "rate_hz": 1 / sample_time})
-        calls.append(("here", "chain", design, omega))
-        wanted.append((response, omega, sample_time))
-    for found, (response, omega, sample_time) in zip(values(node(calls)), wanted, strict=True):
+                response *= signal.freqs(above, below, omega)[1]
+        sampling = [{"kind": "sampling", "rate_hz": 1 / sample_time}] if sample_time else []
+        calls.append(("here", "chain", {"blocks": blocks + sampling}, omega))
+        wanted.append((response, sample_time))
+    for found, (response, sample_time) in zip(values(node(calls)), wanted, strict=True):
         np.testing.assert_allclose(number(found["response"]), response, rtol=CLOSE)
         if sample_time:
             own = signal.sosfreqz(found["biquads"], omega * sample_time)[1]
@@ -230,7 +179,7 @@ def test_every_block_responds_as_scipy_says(node):
 def test_the_box_is_searched_as_the_library_searches_it(node):
     """Also where the box passes the point -1: a peak of size M is lost to rounding M times as much as one of size 1."""
     calls, wanted = [], []
-    for seed in range(6):
+    for seed in (0, 1, 5):
         machine, loop, _, design = drawn(seed)
         spread = Uncertainty(
             frequency=0.05, residue=0.1, damping=0.1 * (seed % 2), gain=0.05, mass=0.02, delay=2e-6,
@@ -286,7 +235,7 @@ def test_the_measurement_stands_for_the_plant(node):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 2, 3, 5, 8, 9])
+@pytest.mark.parametrize("seed", [1, 3, 8])
 def test_what_leaves_the_desk_runs_as_the_library_runs_it(node, tmp_path, seed):
     """The step of the desk, and of its controller.json in the loop with the library's plant, is that of the library."""
     machine, loop, pid, design = drawn(seed)
@@ -385,7 +334,6 @@ def test_a_table_is_read_as_the_library_reads_it(node, tmp_path):
         "bare.csv": (",", [hertz, size * np.cos(angle), size * np.sin(angle)]),
         "notes.csv": (",", [hertz, size, np.degrees(angle)]),
     }
-    calls = []
     for name, (mark, table) in columns.items():
         rows = "\n".join(mark.join(repr(float(x)) for x in row) for row in zip(*table, strict=True))
         (tmp_path / name).write_text(FILES[name].format(rows), encoding="utf-8")
@@ -402,84 +350,23 @@ def test_a_table_is_read_as_the_library_reads_it(node, tmp_path):
         sign = np.sign(np.median(ours.real / wanted.accelerance.response.real))
         np.testing.assert_allclose(sign * ours, wanted.accelerance.response, rtol=CLOSE)
         assert (found["units"]["position"], found["units"]["drive"]) == wanted.units
-    [refused] = node(
-        [
-            (
-                "files.js",
-                "machineOfTable",
-                "frequency (Hz),real (furlong/N),imaginary (furlong/N)\n1,2,3\n",
-                "x",
-            )
-        ]
-    )
-    assert "furlong" in refused["error"] or "unit" in refused["error"]
 
 
-@pytest.mark.slow
-def test_the_blocks_of_a_design_come_back(node, tmp_path):
-    """Of the file that `design` writes: the desk's loop is the one that the numbers in the file close."""
-    file, out = tmp_path / "pair.npz", tmp_path / "out"
-    stiffness = 1.5e7 * np.array([[1.0, -1.0], [-1.0, 1.0]])
-    np.savez(file, M=np.diag([30.0, 10.0]), K=stiffness, input=[1.0, 0.0], output=[[0.0, 1.0]])
-    design_file(str(file), str(out), 1e4, limit=40.0, uncertainty="none")
-    machine, written = read_machine(file), out / "controller.json"
-    text = written.read_text(encoding="utf-8")
-    [found] = values(node([("files.js", "designOfController", text, machine)]))
-    assert found["design"]["limit"] == 40 and not found["notes"]
-    assert "observer" in [each["kind"] for each in found["design"]["blocks"]]
-    grid = TURN * np.geomspace(1.0, 4900.0, 60)
-    again, exported = values(
-        node(
-            [
-                ("here", "responses", machine, found["design"], grid),
-                ("here", "controller", machine, found["design"]),
-            ]
-        )
-    )
-    controller = load_controller(written).linear.frequency_response(grid)[0, 0]
-    # Samples of own delay are in the written controller; the desk counts them with the machine's.
-    own = sum(each["samples"] for each in found["design"]["blocks"] if each["kind"] == "wait")
-    sensitivity = 1 / np.abs(1 + controller * number(again["plant"]) * np.exp(1e-4j * own * grid))
-    np.testing.assert_allclose(again["functions"]["output_sensitivity"], sensitivity, rtol=1e-7)
-    (tmp_path / "controller.json").write_text(exported, encoding="utf-8")
-    assert main(["export", str(tmp_path / "controller.json"), "--out", str(tmp_path / "code")]) == 0
-    [refused] = node([("files.js", "designOfController", '{"format": "another"}', None)])
-    assert "controller.json" in refused["error"]
-
-
-def test_a_design_that_waits_is_shaped_exported_and_read_back(node):
-    """With and without an observer: two samples of its own are two of the machine's, and the exported C leaves late by them."""
-    for seed in (0, 1):
-        machine, loop, _, design = drawn(seed)
-        late = [block | {"delay_us": block["delay_us"] + 2e6 * loop.sample_time} if block["kind"] == "delay" else block for block in design["blocks"]]  # fmt: skip
-        waits = design | {"blocks": [*design["blocks"], {"kind": "wait", "samples": 2}]}
-        grid, own = np.geomspace(loop.omega[0], 0.4 * TURN / loop.sample_time, 40), entry(machine, {})
-        one, other, exported = values(
-            node(
-                [
-                    ("here", "responses", own, waits, grid),
-                    ("here", "responses", own, design | {"blocks": late}, grid),
-                    ("here", "controller", own, waits),
-                ]
-            )
-        )
-        for name in ("input_sensitivity", "output_sensitivity"):
-            np.testing.assert_allclose(one["functions"][name], other["functions"][name], rtol=1e-9)
-        assert json.loads(exported)["controller"]["delay_samples"] == 2
+def test_a_design_that_waits_is_that_of_a_later_machine_and_is_read_back(node):
+    machine, loop, _, design = drawn(1)
+    late = [block | {"delay_us": block["delay_us"] + 2e6 * loop.sample_time} if block["kind"] == "delay" else block for block in design["blocks"]]  # fmt: skip
+    waits = design | {"blocks": [*design["blocks"], {"kind": "wait", "samples": 2}]}
+    grid, own = np.geomspace(loop.omega[0], 0.4 * TURN / loop.sample_time, 40), entry(machine, {})
+    asked = [("here", "responses", own, each, grid) for each in (waits, design | {"blocks": late})]
+    one, other, exported = values(node([*asked, ("here", "controller", own, waits)]))
+    for name in ("input_sensitivity", "output_sensitivity"):
+        np.testing.assert_allclose(one["functions"][name], other["functions"][name], rtol=1e-9)
+    assert json.loads(exported)["controller"]["delay_samples"] == 2
     gains = {"gain": 1.0, "integrator": 2.0, "differentiator": 5.0, "low_pass": 50.0, "low_pass_damping": 0.7}
     text = {"format": "stillwork controller 1", "sample_time_s": 1e-3, "gains": gains}
-    calls = [
-        (
-            "files.js",
-            "designOfController",
-            json.dumps(text | {"provenance": {"settings": {"wait": wait}}}),
-            None,
-        )
-        for wait in (3.0, 0.5)
-    ]
-    read, refused = node(calls)
-    assert {"kind": "wait", "samples": 3} in read["value"]["design"]["blocks"]
-    assert "all-pass" in refused["error"]
+    text |= {"provenance": {"settings": {"wait": 3.0}}}
+    [read] = values(node([("files.js", "designOfController", json.dumps(text), None)]))
+    assert {"kind": "wait", "samples": 3} in read["design"]["blocks"]
 
 
 def test_the_page_is_one_file_that_asks_for_nothing(tmp_path):
@@ -498,31 +385,20 @@ def test_the_page_is_one_file_that_asks_for_nothing(tmp_path):
 TYPED = {
     "1.5": 1.5,
     "1,5": 1.5,
-    " 20,25 ": 20.25,
     "0,125": 0.125,
-    "1.500": 1.5,
     "\u22123": -3,
-    "-3": -3,
-    "1 000": 1000,
     "1\u202f000\u00a0000,5": 1000000.5,
-    "1e3": 1000,
     "2,5E-3": 0.0025,
     ".5": 0.5,
-    "7.": 7,
 }
 REFUSED = {
     "": "empty",
-    "  ": "empty",
-    "much": "no number",
     "1e": "no number",
     "0x10": "no number",
     "Infinity": "no number",
-    "1_000": "no number",
     "1 00": "no number",
     "1,2,3": "no number",
-    "1.5 Hz": "no number",
     "1,500": "1.500 or 1500",
-    "1,500e3": "1.500e3 or 1500e3",
 }
 
 
@@ -532,46 +408,6 @@ def test_a_typed_number_is_one_number_or_none(node):
     assert [each.get("value") for each in found[: len(TYPED)]] == list(TYPED.values())
     for each, why in zip(found[len(TYPED) :], REFUSED.values(), strict=True):
         assert why in each["error"]
-
-
-def test_a_name_cannot_end_the_script():
-    machine = entry(Machine((EXAMPLE,), 10.0, "</script><b>"), {})
-    text = offline_page([machine])
-    assert "</script><b>" not in text and text.count("</script>") == 2
-
-
-BESIDE = ["Sensor noise (um)", "Position (mm)", "Drive current (A)", "Drive level (mN)", "Std phase (deg)"]
-NO_MOTION = ["mV/N", "g/g", "um/mm", "V/V", "V/N"]
-
-
-def test_the_unit_of_a_response_is_that_of_its_own_columns(node, tmp_path):
-    """Of 8 kg: a column beside it may hold anything, and a unit that is no motion over a force is refused; also on the page."""
-    hertz = np.linspace(10, 500, 100)
-    rows = "\n".join(f"{f},0.125,0,1" for f in hertz)
-    headers = [f"frequency (Hz),magnitude,phase (deg),{each}" for each in BESIDE]
-    headers += [f"frequency (Hz),magnitude ({each}),phase (deg),line" for each in NO_MOTION]
-    texts = [f"{each}\n{rows}\n" for each in headers]
-    pages = node([("files.js", "machineOfTable", text, "x") for text in texts])
-    for text, page, header in zip(texts, pages, headers, strict=True):
-        (tmp_path / "x.csv").write_text(text)
-        if header.endswith("line"):
-            assert "error" in page
-            with pytest.raises(InputError, match="is no motion over a force"):
-                load_machine(tmp_path / "x.csv")
-        else:
-            read = load_machine(tmp_path / "x.csv")
-            assert "error" not in page and read.units == ("m", "N")
-            np.testing.assert_allclose(read.accelerance.response, 0.125, rtol=1e-12)
-
-
-def test_the_modules_run_as_one_script(node, tmp_path):
-    """Those that need no document: each finds what it imports."""
-    before = script().split('deskModules["ui.js"]')[0]
-    assert before.count("deskModules[") > 10
-    wanted = "for (const each of Object.values(deskModules)) for (const [name, value] of Object.entries(each)) if (value === undefined) throw name;"
-    (tmp_path / "script.js").write_text(before + wanted)
-    done = subprocess.run(["node", str(tmp_path / "script.js")], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.slow
@@ -613,20 +449,6 @@ def test_a_bare_measurement_is_judged_as_what_it_is_below_its_lines(node, rigid)
         assert found["unstable"] == found["box"] == unstable
         assert rigid != 2 or found["mass"] == pytest.approx(mass, rel=0.1)
     assert 3 < sum(unstable > 0 for _, unstable, _ in wanted) < 21
-
-
-@pytest.mark.parametrize("name", ['**//\nint injected;/*"', "??/\n[controller]"])
-def test_a_name_brings_no_code_into_the_c(node, tmp_path, name):
-    """A machine's name out of a file stands in the controller's file, as text, and not in the C."""
-    design = {"blocks": [{"kind": "gain", "value": 2.0}, {"kind": "sampling", "rate_hz": 5e3}], "limit": 3.0}
-    [text] = values(node([("here", "controller", machine_to_begin_with() | {"name": name}, design)]))
-    (tmp_path / "controller.json").write_text(text, encoding="utf-8")
-    assert json.loads(text)["machine"] == name
-    assert main(["export", str(tmp_path / "controller.json"), "--out", str(tmp_path / "code")]) == 0
-    assert not any("injected" in file.read_text() for file in (tmp_path / "code").glob("*.[ch]"))
-    controller = load_controller(tmp_path / "controller.json")
-    assert controller.model.sample_time == 1 / 5000 and controller.high == -controller.low == 3.0
-    np.testing.assert_array_equal(controller.model.d, [[2.0]])
 
 
 def on_springs(hertz, flexible):

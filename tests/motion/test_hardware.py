@@ -1,6 +1,5 @@
 """What a written controller makes of its sensor's noise and of single precision: predicted, and simulated sample by sample."""
 
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +10,7 @@ from shared.compiled import run_controller
 from stillwork.base.checks import InputError
 from stillwork.control.applications import Application
 from stillwork.control.bandwidth import make_loop
-from stillwork.control.digital import error_driven, load_controller, runnable, tied_to_error
+from stillwork.control.digital import error_driven, runnable, tied_to_error
 from stillwork.control.loop_noise import NOISE, NoiseBound, crossing_noise, noise_gain, written_noise
 from stillwork.control.machine_loops import (
     DesignSettings,
@@ -28,7 +27,6 @@ from stillwork.identification.machine_files import load_machine
 from stillwork.lti.modal import modal_model
 from stillwork.machine import single_precision
 from stillwork.machine.c_code import controller_code
-from stillwork.machine.design import design_file
 from stillwork.machine.hardware import QUANTISED, single_rows
 from stillwork.machine.promise import checked_biquads
 from stillwork.machine.single_precision import (
@@ -137,29 +135,6 @@ def test_a_bound_of_the_noise_stops_a_search(machine, uncertainty):
     assert not reach(machine[1], use, replace(search, noise=NoiseBound(ratio=1.01 * ratio))).stopped_by_noise
     none = reach(machine[1], use, replace(search, noise=NoiseBound(ratio=0.1)))
     assert none.recommended is None and none.stopped_by_noise and "times what is allowed" in none.reason
-
-
-@pytest.mark.slow
-def test_a_design_says_what_noise_does_and_obeys_the_limit(machine, tmp_path):
-    """4 s of CPU: 600 counts a rad and 0.15 A; the encoder's rounding may take 5 % of it, rms, and does in the loop."""
-    file, _ = machine
-    said = design_file(
-        str(file), str(tmp_path / "out"), RATE, limit=0.15, counts=600.0, motor_constant=0.2,
-        response_unit="rad", force_unit="N m", verbose=True,
-    )  # fmt: skip
-    line = next(each for each in said if each.startswith("noise at the output"))
-    rms, share = map(float, re.search(r": ([\d.e-]+) A rms, ([\d.]+) % of the limit", line).groups())
-    assert 4.5 < share <= 5.1 and rms == pytest.approx(0.15 * share / 100, rel=0.02)
-    controller = load_controller(tmp_path / "out" / "controller.json")
-    a, b, c = sampled(0.0)
-    late = np.zeros((len(a) + 1, len(a) + 1))
-    late[:-1, :-1], late[:-1, -1] = a, b
-    plant = late, np.append(np.zeros(len(a)), 1.0), np.append(c, 0.0)
-    noise = np.random.default_rng(3).uniform(-0.5, 0.5, 40_000)
-    in_counts = plant[0], plant[1] * 0.2, plant[2] * 600.0
-    seen = simulated(controller, in_counts, noise)[4000:]
-    assert seen.std() == pytest.approx(rms, rel=0.06)
-    assert "noise at the output" in (tmp_path / "out" / "report.html").read_text()
 
 
 def slow_controller(limit=np.inf):

@@ -5,8 +5,7 @@ import pytest
 from scipy.signal import find_peaks
 
 from experiments.motion.machines import measured_accelerance
-from stillwork.base.checks import InputError
-from stillwork.identification.complex_frequency import complex_frequency_poles, stabilisation
+from stillwork.identification.complex_frequency import complex_frequency_poles
 from stillwork.identification.frequency_response import Identified
 from stillwork.identification.machine import build_machine, remove_delay
 from stillwork.identification.machine_files import load_machine
@@ -77,7 +76,7 @@ def test_poles_are_those_of_the_dense_equations():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(4))
 def test_random_machines_are_found_whole(seed):
     """Damping within 5 %, mass within 2 %, nothing lost, nothing spurious, at noise of half a per cent; every second
     response is late by 0.3 cycles of the band's end."""
@@ -100,8 +99,7 @@ def test_random_machines_are_found_whole(seed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [20, 22, 24])
-@pytest.mark.parametrize("end", [0.97, 1.0])
+@pytest.mark.parametrize(("seed", "end"), [(20, 1.0), (22, 0.97), (24, 1.0)])
 def test_a_band_that_cuts_a_resonance_leaves_the_others_and_the_mass_alone(seed, end):
     """Three modes of a random machine, its band ended before or at the peak of the last."""
     rng = np.random.default_rng(seed)
@@ -135,7 +133,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say(follows, widest):
     hertz, modes = np.arange(5.0, 200.0, 0.5), [(50.0, 0.01, 0.8), (120.0, 0.03, -0.5)]
     truth = np.array([50.0, 120.0, 0.01, 0.03, np.log(10.0), 0.08, -0.05])
     values, told = [], []
-    for seed in range(40):
+    for seed in range(20):
         seen = noisy(np.random.default_rng(seed), hertz, 10.0, modes, 0.02)
         if follows:
             exact = accelerance(hertz, 10.0, modes)
@@ -147,14 +145,14 @@ def test_intervals_hold_the_truth_as_often_as_they_say(follows, widest):
         spread = [fit.deviation / (2 * np.pi), fit.damping_deviation, [fit.mass_deviation]]
         told.append([*np.concatenate(spread), *fit.residue_deviation * np.abs(parts)])
     inside = np.abs(np.array(values) - truth) < 1.96 * np.array(told)
-    assert inside.mean() > 0.9 and np.all(inside.mean(axis=0) > 0.8)  # of 40 each, 0.95 to be expected
+    assert inside.mean() > 0.9 and np.all(inside.mean(axis=0) > 0.75)  # of 20 each, 0.95 to be expected
     spread = np.sqrt(np.mean((values - truth) ** 2, axis=0))
     assert np.all(np.mean(told, axis=0) < widest * spread) and np.all(np.mean(told, axis=0) > 0.65 * spread)
 
 
 @pytest.mark.slow
 def test_ten_main_modes_of_the_shipped_structure_and_none_spurious():
-    """5 s of CPU: the one measured structure with many modes; drawn ones have no noise that the fit did not expect."""
+    """16 s of CPU: the one measured structure with many modes; drawn ones have no noise that the fit did not expect."""
     measured = measured_accelerance(2)
     hertz = measured.omega / (2 * np.pi)
     fit = identify_modes(measured, (100.0, 6500.0))
@@ -174,35 +172,8 @@ def test_ten_main_modes_of_the_shipped_structure_and_none_spurious():
         assert np.abs(maxima - frequency).min() < max(2 * damping * frequency, 1.0)
 
 
-def hammered(hits, noise=0.0):
-    """Force and acceleration of hits on a machine of 40 kg with two modes, by its exact response; and their rate."""
-    rate, samples, rng = 5000.0, 4000, np.random.default_rng(hits)
-    t = np.arange(samples) / rate
-    hertz = np.fft.rfftfreq(8 * samples, 1 / rate)
-    response = accelerance(hertz, 40.0, [(120.0, 0.01, 0.8), (310.0, 0.015, -0.6)])
-    width = 5e-4 * rng.uniform(0.8, 1.3, (hits, 1))
-    force = rng.uniform(50, 200, (hits, 1)) * np.exp(-(((t - 0.02) / width) ** 2))
-    moved = np.fft.irfft(np.fft.rfft(force, 8 * samples) * response, 8 * samples)[:, :samples]
-    return {"force": force, "acceleration": moved + noise * rng.normal(size=moved.shape), "fs": rate}
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("hits", [1, 2])
-@pytest.mark.parametrize("noise", [0.0, 1e-2])
-def test_hammer_records_without_a_band_give_their_two_modes(tmp_path, hits, noise):
-    """Clean or with noise of a per cent of the peak, the command of `inspect` as it stands: all that was measured."""
-    np.savez(tmp_path / "hits.npz", **hammered(hits, noise))
-    file = load_machine(tmp_path / "hits.npz")
-    machine = build_machine(file, modes_hz=[], fit_hz=(0.0, 0.0), mirrored_sensor=False)
-    assert machine.resonances_hz == pytest.approx([120.0, 310.0], rel=1e-3)
-    assert machine.mass == pytest.approx(40.0, rel=0.02)
-    assert machine.sensors[0].damping[1:] == pytest.approx([0.01, 0.015], rel=0.05)
-    assert any("1 hit" in note and "coherence" in note for note in file.notes) == (hits == 1)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize("place", [0, 1])
+@pytest.mark.parametrize(("sign", "place"), [(1, 0), (-1, 1)])
 def test_a_measured_machine_on_springs_keeps_its_suspension(tmp_path, sign, place):
     """Two masses on a soft spring by the equations of motion; the frequencies from the matrices' eigenvalues."""
     hertz = np.arange(2.0, 1000.0, 0.5)
@@ -225,33 +196,7 @@ def test_a_measured_machine_on_springs_keeps_its_suspension(tmp_path, sign, plac
     assert ("counted against the force, turned" in machine.notes) == (sign < 0)
 
 
-def on_springs(hertz, suspension_hz=6.0):
-    """Accelerance of 8 kg on springs (5 % of damping) with two modes, term by term."""
-    s = 2j * np.pi * hertz
-    modes = ((suspension_hz, 0.05, 1.0), (130.0, 0.01, 0.6), (310.0, 0.003, -0.4))
-    parts = [
-        share / (s**2 + 2 * damping * w * s + w**2)
-        for w, damping, share in ((2 * np.pi * f, z, a) for f, z, a in modes)
-    ]
-    return s**2 * sum(parts) / 8.0
-
-
-@pytest.mark.slow
-def test_a_suspension_in_an_octave_of_few_lines_is_found(tmp_path):
-    """Lines 0.8 Hz apart: a resonance 0.6 Hz wide lies between two of them, and its octave holds eight."""
-    hertz = np.arange(0.8, 640.0, 0.8)
-    error = 3e-3 * np.random.default_rng(3).normal(size=(2, len(hertz)))
-    response = on_springs(hertz) * (1 + error[0] + 1j * error[1])
-    np.savez(tmp_path / "a.npz", **{"frequency (Hz)": hertz, "h (m/s^2/N)": response})
-    file = load_machine(tmp_path / "a.npz")
-    machine = build_machine(file, modes_hz=[], fit_hz=(0.0, 0.0), mirrored_sensor=False)
-    assert machine.mass == pytest.approx(8.0, rel=0.02)
-    assert machine.sensors[0].frequencies / (2 * np.pi) == pytest.approx([6.0, 130.0, 310.0], rel=0.01)
-    with pytest.raises(InputError, match=r"^mirrored_sensor\b"):
-        build_machine(file, modes_hz=[], fit_hz=(0.0, 0.0), mirrored_sensor=True)
-
-
-def test_a_delay_and_a_resonance_that_the_band_cuts_are_told(tmp_path):
+def test_a_delay_is_told_and_taken_out(tmp_path):
     """A response that is 0.3 ms late; in the machine its delay is told, brought forward it is as it was."""
     hertz, late = np.arange(2.0, 300.0, 0.5), 3e-4
     response = accelerance(hertz, 40.0, [(120.0, 0.01, 0.8), (310.0, 0.015, -0.6)])
@@ -259,36 +204,11 @@ def test_a_delay_and_a_resonance_that_the_band_cuts_are_told(tmp_path):
     np.savez(tmp_path / "a.npz", **{"frequency (Hz)": hertz, "h (m/s^2/N)": delayed})
     file = load_machine(tmp_path / "a.npz")
     machine = build_machine(file, modes_hz=[], fit_hz=(0.0, 0.0), mirrored_sensor=False)
-    assert (
-        "the response is 300 us late: a delay beside the machine, which the model is without" in machine.notes
-    )
-    assert any(note.startswith("a resonance at about 310 Hz, beyond the band") for note in machine.notes)
+    assert any("the response is 300 us late" in note for note in machine.notes)
     assert machine.mass == pytest.approx(40.0, rel=2e-3)
     assert machine.fit.delay == pytest.approx(late, rel=1e-3)
     assert remove_delay(machine, late).measured.response == pytest.approx(response, rel=1e-12)
     assert machine.measured.response == pytest.approx(delayed, rel=1e-12)
-
-
-def test_a_matrix_of_responses_is_taken_one_by_one(tmp_path):
-    hertz = np.arange(5.0, 200.0, 0.5)
-    matrix = np.array([[accelerance(hertz, m + 10 * n, []) for n in (1, 2)] for m in (1, 2, 3)])
-    for name, stored in (("last", matrix), ("first", np.moveaxis(matrix, -1, 0))):
-        np.savez(tmp_path / f"{name}.npz", frequency=hertz, h=stored)
-        with pytest.raises(InputError, match=r"\.npz\b.*h\[1,1\]"):
-            load_machine(tmp_path / f"{name}.npz")
-        taken = load_machine(tmp_path / f"{name}.npz", response="h[3,2]").accelerance
-        assert taken.response == pytest.approx(matrix[2, 1], rel=1e-12)
-
-
-def test_diagram_marks_the_machine_and_little_else():
-    hertz = np.arange(5.0, 200.0, 0.5)
-    response = accelerance(hertz, 10.0, [(50.0, 0.01, 0.8), (120.0, 0.03, -0.5)])
-    diagram = stabilisation(2 * np.pi * hertz, response[:, None, None])
-    stable = diagram.frequency[diagram.stable] / (2 * np.pi)
-    near = np.abs(np.subtract.outer(stable, [50.0, 120.0])).min(axis=1) < 0.5
-    assert near.mean() > 0.5
-    settled = diagram.settled()
-    assert np.sort(settled[0, :2]) / (2 * np.pi) == pytest.approx([50.0, 120.0], rel=1e-3)
 
 
 # --------------------------------------------------------------------------------------------------------- friction
@@ -297,7 +217,7 @@ def test_diagram_marks_the_machine_and_little_else():
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("friction", "noise", "late"),
-    [(0.0, 0.01, 0.0), (100.0, 0.0, 0.0), (300.0, 0.01, 0.0), (300.0, 0.01, 1e-4)],
+    [(0.0, 0.01, 0.0), (300.0, 0.01, 1e-4)],
 )
 def test_a_body_on_viscous_friction_keeps_its_mass_and_invents_nothing(friction, noise, late):
     """10 kg with a resonance at 90 Hz: b s beside m s^2, by the equation of motion alone; none where there is none."""
@@ -333,17 +253,3 @@ def test_the_modes_of_a_suspension_are_found_over_the_whole_band():
         assert np.abs(given.resonances_hz / hertz - 1).min() < 2e-3
     assert any("fitted from 0.2" in note and "fit_hz" in note for note in whole.notes)
     assert not any("fitted from" in note for note in given.notes)
-
-
-@pytest.mark.slow
-def test_a_band_with_one_resonance_is_told_what_it_lacks(tmp_path):
-    """A mass on springs, 1 Hz, and nothing else: within a part of the measurement and over all of it."""
-    hertz = np.arange(0.05, 12.0, 0.01)
-    s = 2j * np.pi * hertz
-    np.savez(
-        tmp_path / "a.npz", **{"frequency (Hz)": hertz, "h (m/N)": 1 / (s**2 + 0.3 * s + (2 * np.pi) ** 2)}
-    )
-    file = load_machine(tmp_path / "a.npz")
-    for band in ((0.0, 0.0), (0.05, 6.0)):
-        with pytest.raises(InputError, match=r"a\.npz\b.*\b1 Hz\b.*\bfit_hz\b"):
-            build_machine(file, modes_hz=[], fit_hz=band, mirrored_sensor=False)

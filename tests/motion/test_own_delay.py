@@ -9,15 +9,13 @@ import pytest
 from scipy import signal
 
 from motion.true_machines import CompiledLoop, TrueMachine
-from stillwork.base.checks import InputError
 from stillwork.control.applications import Application
-from stillwork.control.loops import no_observer
-from stillwork.control.machine_loops import DesignSettings, Intensities, SearchSettings, reach, waiting
+from stillwork.control.machine_loops import DesignSettings, Intensities, SearchSettings, reach
 from stillwork.control.pid import PidFamily
 from stillwork.identification.machine import Machine
 from stillwork.lti.modal import ModalModel
 from stillwork.machine.design import design_file
-from stillwork.machine.machine_designs import CONTAINED, crossing, search_designs
+from stillwork.machine.machine_designs import crossing
 from stillwork.machine.retest import retest_file
 from stillwork.machine.waiting import waited
 
@@ -46,7 +44,7 @@ def random_machine(seed):
     return Machine((modal(hertz, 10 ** rng.uniform(-2.5, -1.5, count), shares),), 10.0, f"random {seed}")
 
 
-@pytest.mark.parametrize("samples", [1, 3, 0.5, 2.5])
+@pytest.mark.parametrize("samples", [1, 2.5])
 def test_a_loop_that_waits_is_that_of_scipy(samples):
     """Tustin's PID, the delays and the held machine as fractions of polynomials; the all-pass has its own closed form."""
     plant, pid, omega = (
@@ -97,11 +95,6 @@ def test_waiting_is_a_later_machine(application):
     assert waits.is_stable(pid) == later.is_stable(pid)
 
 
-def test_without_samples_there_is_nothing_to_wait_for():
-    with pytest.raises(InputError, match="samples"):
-        waiting(no_observer(modal([150.0], [0.01], [0.5])), 1.0)
-
-
 def furthest(machine, use, search):
     """First crossing with the best lead and own delay."""
     known = reach(machine, use, search)
@@ -109,30 +102,12 @@ def furthest(machine, use, search):
     return max(crossing(known), crossing(reach(machine, trial, search)))
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", range(4))
 def test_a_later_machine_never_gets_further(seed):
     machine = random_machine(seed)
     found = [furthest(machine, ALONE, SearchSettings(1 / RATE, float(delay))) for delay in range(2)]
     assert found[0] > 0
     assert found[1] <= 1.005 * found[0]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [2, 3])
-def test_more_freedom_never_gets_less_far_and_more_delay_no_further(seed):
-    """A minute of CPU: all uses, each in the whole box."""
-    machine, furthest_of = random_machine(seed), []
-    for delay in (0.0, 1.0):
-        made = search_designs(machine, rate=RATE, delay=delay)
-        hertz = {use: crossing(each) for use, each in made.found.items()}
-        for use, contained in CONTAINED.items():
-            assert all(hertz[use] >= hertz[name] for name in contained)
-        for use, name in made.same.items():
-            assert made.found[use] is made.found[name] and any(
-                f"{use}: as {name}" in line for line in made.lines()
-            )
-        furthest_of.append(max(hertz.values()))
-    assert furthest_of[1] <= 1.005 * furthest_of[0]
 
 
 @pytest.mark.slow

@@ -21,7 +21,6 @@ def table(rows, head=PARTS, mark=",", end="\n"):
 
 
 ROWS = [(f"{f:.8g}", f"{z.real:.8g}", f"{z.imag:.8g}") for f, z in zip(HERTZ, RESPONSE, strict=True)]
-SEMICOLONS = table(ROWS, PARTS.replace(",", ";"), ";", "\r\n").replace(".", ",")
 
 
 def complex_rows(write):
@@ -32,9 +31,6 @@ def complex_rows(write):
 
 OBEYED = {
     "byte order mark": table(ROWS).encode("utf-8-sig"),
-    "semicolons, decimal commas": SEMICOLONS.encode("utf-8-sig"),
-    "tabs": table(ROWS, PARTS.replace(",", "\t"), "\t").encode(),
-    "complex j": complex_rows(lambda z: f"{z.real:.8g}{z.imag:+.8g}j").encode(),
     "complex with spaces": complex_rows(
         lambda z: f"{z.real:.8g} {'+-'[int(z.imag < 0)]} {abs(z.imag):.8g}i"
     ).encode(),
@@ -53,13 +49,7 @@ REFUSED = {
     "empty": ("", "is empty; give a line of names"),
     "names alone": (PARTS + "\n", "no rows; give rows"),
     "five lines": (table(ROWS[:5]), "5 usable lines are too few.* at least 32"),
-    "twice": (table([*ROWS[:9], *ROWS[8:]]), "does not rise from line to line; sort"),
     "unsorted": (table(ROWS[::-1]), "does not rise from line to line; sort"),
-    "units": (table(ROWS, PARTS.replace("imag (m", "imag (mm")), "in m and in mm; give one unit"),
-    "unknown": (
-        table(ROWS, PARTS.replace("(m/N", "(furlong/N")),
-        "furlong/N.* no unit that is known.*; convert",
-    ),
     "utf-16": (table(ROWS).encode("utf-16"), "not text in UTF-8; save it"),
 }
 

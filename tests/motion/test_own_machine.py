@@ -9,14 +9,16 @@ import pytest
 
 from motion.true_machines import CompiledLoop, TrueMachine, machine_of_matrices
 from stillwork.__main__ import main
+from stillwork.control.applications import Application
 from stillwork.control.bandwidth import make_loop
+from stillwork.control.digital import error_driven, runnable
+from stillwork.control.machine_loops import DesignSettings, Intensities, SearchSettings, reach
 from stillwork.control.phased_loops import phased_loop
 from stillwork.control.pid import PidFamily
 from stillwork.control.uncertainty import (
     Perturbation,
     Uncertainty,
     perturbed_loop,
-    uncertainty_of,
     worst_place,
 )
 from stillwork.identification.frequency_response import Identified
@@ -24,8 +26,7 @@ from stillwork.identification.machine import build_machine
 from stillwork.identification.machine_files import load_machine
 from stillwork.identification.modal_fit import identify_modes
 from stillwork.lti.modal import ModalModel
-from stillwork.machine.design import design_file
-from stillwork.machine.machine_designs import stated_uncertainty
+from stillwork.machine.c_code import controller_code
 from stillwork.machine.retest import retest_file
 
 RATE = 4e3
@@ -54,8 +55,8 @@ def write_response(file, machine, noise, seed=0):
 
 
 @pytest.mark.slow
-def test_a_turntable_keeps_its_promise_in_c(tmp_path, capsys):
-    """7 s of CPU: counts in, A out, friction, 1.3 samples of delay of which the file holds 0.3; corners and draws of the box."""
+def test_a_turntable_keeps_its_promise_in_c(tmp_path, capsys, untuned):
+    """Counts in, A out, friction, 1.3 samples of delay of which the file holds 0.3; corners and draws of the box."""
     box = {"frequency": 0.04, "gain": 0.08, "damping": 0.2, "friction": 6.0, "delay": 2e-5}
     write_response(tmp_path / "table.csv", replace(TABLE, delay=0.3 / RATE), 3e-3)
     asked = ",".join(f"{name}={value:g}" for name, value in box.items())
@@ -114,9 +115,9 @@ def test_the_worst_friction_is_the_worst_of_a_scan():
 
 
 def test_the_interval_of_a_friction_holds_what_is_there():
-    """Of 12 noisy responses each; as everywhere, of the fit, where friction is named."""
+    """Of 8 noisy responses; as everywhere, of the fit, where friction is named."""
     held = 0
-    for seed in range(12):
+    for seed in range(8):
         rng = np.random.default_rng(seed)
         machine = replace(TABLE, friction=rng.uniform(5, 80), delay=rng.uniform(0, 2e-4))
         hertz, noise = np.arange(3.0, 190.0, 0.25), 10 ** rng.uniform(-3, -1.7)
@@ -127,18 +128,7 @@ def test_the_interval_of_a_friction_holds_what_is_there():
         fit = identify_modes(measured, (3.0, 190.0))
         assert fit.model.drag == pytest.approx(machine.friction, rel=0.05)
         held += abs(fit.model.drag - machine.friction) < 1.96 * fit.drag_deviation
-    assert held >= 10
-
-
-def test_friction_enters_the_box_where_it_is_named(tmp_path):
-    write_response(tmp_path / "table.csv", TABLE, 1e-2)
-    machine = build_machine(
-        load_machine(tmp_path / "table.csv"), modes_hz=[], fit_hz=(0, 0), mirrored_sensor=False
-    )
-    interval = 1.96 * machine.fit.drag_deviation
-    assert interval > 0 and uncertainty_of(machine, {"gain": 0.1}).friction == 0
-    assert uncertainty_of(machine, stated_uncertainty("friction=2")).friction == pytest.approx(2 + interval)
-    assert uncertainty_of(machine, stated_uncertainty("none,friction=0")).friction == pytest.approx(interval)
+    assert held >= 7
 
 
 def two_on_one(share):
@@ -187,9 +177,7 @@ def test_modes_that_a_damper_couples_have_phases():
     assert identify_modes(measured, (8.0, 250.0)).phased is None
 
 
-@pytest.mark.parametrize(
-    ("noise", "top", "ground"), [(0.0, 1800.0, 0.05), (0.02, 1800.0, 0.05), (0.0, 800.0, 0.005)]
-)
+@pytest.mark.parametrize(("noise", "top", "ground"), [(0.02, 1800.0, 0.05), (0.0, 800.0, 0.005)])
 def test_a_machine_on_springs_with_phases_keeps_its_mass_and_its_gain_below_its_modes(noise, top, ground):
     """A chain on the ground by its first mass alone: the fit without phases took its suspension for a free body."""
     mass, suspension = np.diag([15.0, 4.0, 1.5]), 2 * np.pi * 4.0
@@ -214,19 +202,24 @@ def test_a_machine_on_springs_with_phases_keeps_its_mass_and_its_gain_below_its_
     assert np.median(ratio) == pytest.approx(1, abs=0.005)
 
 
-@pytest.mark.slow
 def test_the_promise_holds_where_a_damper_couples_two_modes(tmp_path):
-    """A minute of CPU: without the phases of its modes this machine reached 8.7 dB in a box in which 6.00 was promised."""
+    """One use in a box in which 6.00 dB are promised: judged without the phases of its modes it reaches 7.9 dB there."""
     rate, machine = 5e3, two_on_one(0.1)[0]
     hertz, seen = measured_response(machine, 1e-3)
     columns = {"frequency (Hz)": hertz, "h (m/N)": seen, "coherence": np.full(len(hertz), 1 / (1 + 1e-6))}
     np.savez(tmp_path / "coupled.npz", **columns)
+    file = load_machine(tmp_path / "coupled.npz")
+    given = build_machine(file, modes_hz=[], fit_hz=(0, 0), mirrored_sensor=False)
     box = {"frequency": 0.05, "gain": 0.1, "damping": 0.2}
-    said = design_file(
-        str(tmp_path / "coupled.npz"), str(tmp_path / "out"), rate, uncertainty=box, verbose=True
-    )
-    assert any("phases of their own" in line for line in said)
-    assert any("with the phases of the modes" in line for line in said)
-    loop = CompiledLoop(tmp_path / "out", rate)
-    worst = loop.worst_db(replace(machine, delay=1 / rate), box, 60, np.random.default_rng(7))
-    assert 5 < worst <= ALLOWED_DB
+    use = DesignSettings(Application(compensate=True), 5, Intensities(8e-4, 1.41e-11, 1.92e-4), lead=4.0)
+    worst = []
+    for each in (given, replace(given, fit=replace(given.fit, phased=None))):
+        found = reach(each, use, SearchSettings(1 / rate, 1.0, box))
+        whole = runnable(found.recommended.controller, found.loops[0].compensator, np.inf, {})
+        folder = tmp_path / str(len(worst))
+        folder.mkdir()
+        for name, text in controller_code(error_driven(whole), "controller").items():
+            (folder / name).write_text(text)
+        loop = CompiledLoop(folder, rate)
+        worst.append(loop.worst_db(replace(machine, delay=1 / rate), box, 30, np.random.default_rng(7)))
+    assert 5 < worst[0] <= ALLOWED_DB and worst[1] > 7

@@ -8,9 +8,8 @@ from scipy import signal
 
 from stillwork import lti
 from stillwork.base.checks import InputError
-from stillwork.identification.machine import build_machine
 from stillwork.identification.machine_files import load_machine
-from stillwork.machine.readings import believed, build_explained
+from stillwork.machine.readings import build_explained
 from stillwork.machine.report import report_file
 
 READINGS = [*product(("dB", "1"), ("deg", "rad"))]
@@ -60,28 +59,6 @@ def test_no_wrong_reading_passes_and_no_right_one_is_refused(tmp_path, seed):
     stated = wrong[rng.integers(len(wrong))]
     with pytest.raises(InputError, match=r"explains|off by|no resonance"):
         explained(write(tmp_path / "wrong.csv", lines, response, written, stated))
-
-
-def test_what_is_believed_is_one_line(tmp_path):
-    """8 kg with modes at 200 and 500 Hz, units written and not."""
-    shapes = np.sqrt(np.array([1.0, 0.8, 0.6]) / 8)
-    model = lti.ModalModel(
-        2 * np.pi * np.array([0.0, 200.0, 500.0]),
-        np.array([0.0, 0.01, 0.01]),
-        shapes[:, None],
-        shapes[None],
-        np.zeros((1, 1)),
-    )
-    lines = np.linspace(10.0, 1000.0, 800)
-    response = model.frequency_response(2 * np.pi * lines)[0, 0]
-    columns = [2 * np.pi * lines, 20 * np.log10(np.abs(response)), np.angle(response, deg=True)]
-    names = "frequency (rad/s),magnitude (dB re 1 m/N),phase"
-    np.savetxt(tmp_path / "a.csv", np.column_stack(columns), delimiter=",", header=names, comments="")
-    file = load_machine(tmp_path / "a.csv")
-    machine = build_machine(file, modes_hz=[], fit_hz=(0.0, 0.0), mirrored_sensor=False)
-    assert believed(file, machine) == (
-        "8 kg, modes at 200 and 500 Hz; frequency from rad/s, magnitude in dB re 1 m/N, phase in degrees (default, not written)"
-    )
 
 
 def test_records_that_still_ring_at_their_ends_are_refused(tmp_path):

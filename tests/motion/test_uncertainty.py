@@ -1,4 +1,4 @@
-"""Machines somewhere in a box: the worst place against draws of it, and what `design` promises by other hands."""
+"""Machines somewhere in a box: the worst place against draws of it."""
 
 import itertools
 from dataclasses import replace
@@ -6,9 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from motion.true_machines import CompiledLoop, TrueMachine
 from stillwork.control.bandwidth import FUNCTIONS, PeakConstraint, make_loop
-from stillwork.control.digital import error_driven, runnable
 from stillwork.control.machine_loops import (
     SAFE,
     DesignSettings,
@@ -17,7 +15,6 @@ from stillwork.control.machine_loops import (
     observed_loops,
     observer_settings,
     pid_family,
-    reach,
 )
 from stillwork.control.pid import PidFamily
 from stillwork.control.uncertainty import (
@@ -28,15 +25,10 @@ from stillwork.control.uncertainty import (
     largest_along,
     make_box,
     perturbed_loop,
-    uncertainty_of,
     worst_place,
 )
-from stillwork.identification.frequency_response import Identified
-from stillwork.identification.machine import Machine, build_machine
-from stillwork.identification.machine_files import load_machine
-from stillwork.identification.modal_fit import identify_modes
+from stillwork.identification.machine import Machine
 from stillwork.lti.modal import modal_model
-from stillwork.machine.c_code import controller_code
 from stillwork.machine.machine_designs import INTENSITIES
 from stillwork.machine.machine_tuning import tuned
 
@@ -52,8 +44,9 @@ def place(frequencies=ONES, residues=ONES, damping=ONES, gain=1.0, delay=0.0):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("options", [{}, SAMPLED, {"sample_time": 1.4e-3}])
-@pytest.mark.parametrize("function", FUNCTIONS)
+@pytest.mark.parametrize(
+    ("options", "function"), zip([{}, SAMPLED, {"sample_time": 1.4e-3}], FUNCTIONS, strict=True)
+)
 def test_the_worst_place_is_the_worst_of_a_grid(options, function):
     """The last sample time folds the second mode back below half the rate."""
     loop, pid = make_loop(CHAIN, **options), PidFamily(40.0)(12.0)
@@ -94,25 +87,12 @@ def test_no_draw_of_a_whole_box_is_worse(function):
     size, worst = worst_place(loop, pid, function, WHOLE)
     assert perturbed_loop(loop, worst).peak(pid, function).magnitude == pytest.approx(size, rel=2e-3)
     rng = np.random.default_rng(0)
-    for draw in range(150):
+    for draw in range(60):
         x = rng.choice([-1.0, 1.0], 12) if draw % 2 else rng.uniform(-1, 1, 12)
         x[[0, 6]] = 0.0  # of the rigid body neither frequency nor damping
         moved = place(1 + 0.05 * x[:3], 1 + 0.1 * x[3:6], 1 + 0.3 * x[6:9], 1 + 0.1 * x[9], 1e-5 * x[10])
         moved.residues[0] = 1 / (1 + 0.03 * x[11])
         assert perturbed_loop(loop, moved).peak(pid, function).magnitude < 1.002 * size
-
-
-@pytest.mark.parametrize("function", FUNCTIONS)
-def test_the_worst_residues_are_the_worst_of_a_grid(function):
-    """Of a function whose numerator holds the plant and of those where only the denominator does."""
-    loop, pid = make_loop(CHAIN, **SAMPLED), PidFamily(40.0)(12.0)
-    size, worst = worst_place(loop, pid, function, Uncertainty(residue=0.5))
-    grid = itertools.product([0.5, 0.8, 1.2, 1.5], repeat=2)
-    most = max(
-        perturbed_loop(loop, place(residues=[1.0, *each])).peak(pid, function).magnitude for each in grid
-    )
-    assert perturbed_loop(loop, worst).peak(pid, function).magnitude >= 0.999 * most
-    assert size >= 0.998 * most
 
 
 def test_along_a_line_the_largest_ratio_is_that_of_many_points():
@@ -143,13 +123,6 @@ def test_close_resonances_may_change_places():
     assert found == pytest.approx(parts.sum(axis=1), rel=1e-9)
 
 
-def test_where_nothing_is_uncertain_the_worst_is_the_peak():
-    loop, pid = make_loop(CHAIN), PidFamily(40.0)(12.0)
-    size, found = worst_place(loop, pid, "input_sensitivity", Uncertainty())
-    assert size == pytest.approx(loop.peak(pid, "input_sensitivity").magnitude, rel=1e-3)
-    assert np.array_equal(found.frequencies, ONES) and found.gain == 1
-
-
 @pytest.mark.slow
 def test_a_mode_that_is_seen_folded_back_is_worst_where_it_meets_another():
     """Of 412 Hz sampled at 625 Hz 213 Hz are seen, beside the first mode: no end of the interval is the worst place.
@@ -161,7 +134,7 @@ def test_a_mode_that_is_seen_folded_back_is_worst_where_it_meets_another():
     size, found = worst_place(loop, pid, "input_sensitivity", Uncertainty(frequency=[0.0, 0.0, 0.05]))
     sizes = {
         factor: perturbed_loop(loop, place([1.0, 1.0, factor])).peak(pid, "input_sensitivity").magnitude
-        for factor in np.linspace(0.95, 1.05, 101)
+        for factor in np.linspace(0.95, 1.05, 41)
     }
     assert size >= 0.99 * max(sizes.values()) > 2 * max(sizes[0.95], sizes[1.05])
     assert perturbed_loop(loop, found).peak(pid, "input_sensitivity").magnitude == pytest.approx(size)
@@ -176,40 +149,3 @@ def test_tuned_settings_hold_the_limits_at_a_higher_bandwidth_on_the_whole_box()
     for each in itertools.product([0.95, 0.98, 1.0, 1.05], repeat=2):
         moved = perturbed_loop(loop, place([1.0, *each]))
         assert all(moved.peak(pid, limit.function).magnitude < limit.limit for limit in SAFE)
-
-
-@pytest.mark.slow
-def test_what_a_fit_does_not_know_comes_on_top_of_what_is_asked_for():
-    omega = 2 * np.pi * np.arange(20.0, 900.0)
-    rng = np.random.default_rng(0)
-    noise = 1 + 0.3 * (rng.standard_normal(len(omega)) + 1j * rng.standard_normal(len(omega)))
-    accelerance = -(omega**2) * CHAIN.frequency_response(omega)[0, 0] * noise
-    fit = identify_modes(Identified(omega, accelerance, np.ones(len(omega))), (20.0, 899.0))
-    machine = Machine((fit.model,), 40.0, "noisy", fit=fit)
-    known = 1.96 * fit.deviation / fit.model.frequencies[1:]
-    found = uncertainty_of(machine, {"frequency": 0.05, "delay": 1e-6})
-    assert found.frequency == pytest.approx([0.0, *(0.05 + known)])
-    assert found.mass == pytest.approx(1.96 * fit.mass_deviation)
-    assert found.delay == pytest.approx(1e-6 + 1.96 * fit.delay_deviation)
-    assert found.residue[1:] == pytest.approx(1.96 * fit.residue_deviation)
-    assert uncertainty_of(machine, {}).is_empty
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("delay", [1.2, 2.0])
-def test_six_decibels_hold_on_the_true_machine_in_the_whole_box(tmp_path, delay):
-    """By SciPy alone, with what the compiled C does: a mode against the force that its phase holds, and 1.2 samples."""
-    rate, box = 1e4, {"frequency": 0.05, "gain": 0.1, "damping": 0.2}
-    true = TrueMachine(40.0, (180.0,), (0.01,), position=(-1.0,), delay=delay / rate)
-    w, shape = 2 * np.pi * 180.0, np.full(2, 40.0**-0.5)
-    arrays = {"M": np.eye(2), "K": np.diag([0.0, w**2]), "D": np.diag([0.0, 2 * 0.01 * w])}
-    np.savez(tmp_path / "machine.npz", **arrays, input=shape, output=[shape * [1, -1]])
-    file = load_machine(tmp_path / "machine.npz")
-    machine = build_machine(file, modes_hz=[], fit_hz=(0.0, 0.0), mirrored_sensor=False)
-    use = DesignSettings(applications(0.02, 2.0)["MC and AD"], 5, INTENSITIES)
-    found = reach(machine, use, SearchSettings(1 / rate, delay, box))
-    whole = runnable(found.recommended.controller, found.loops[0].compensator, np.inf, {})
-    for file, text in controller_code(error_driven(whole), "controller").items():
-        (tmp_path / file).write_text(text)
-    worst = CompiledLoop(tmp_path, rate).worst_db(true, box, 30, np.random.default_rng(5))
-    assert 5.9 < worst < 6.01  # the box is used up, not stayed away from

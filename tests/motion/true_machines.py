@@ -2,11 +2,12 @@
 
 import ctypes
 import itertools
-import subprocess
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg, signal
+
+from shared.compiled import call, pointer
 
 LOOP = """
 #include "{name}.h"
@@ -134,19 +135,7 @@ class CompiledLoop:
     def __init__(self, folder, rate, into=1.0, out=1.0, name="controller"):
         self.rate, self.into, self.out = rate, into, out
         (folder / "loop.c").write_text(LOOP.format(name=name), encoding="utf-8")
-        command = [
-            "gcc",
-            "-std=c99",
-            "-O2",
-            "-shared",
-            "-fPIC",
-            f"{name}.c",
-            "loop.c",
-            "-o",
-            "loop.so",
-            "-lm",
-        ]
-        subprocess.run(command, cwd=folder, check=True)
+        call(f"gcc -std=c99 -O2 -shared -fPIC {name}.c loop.c -o loop.so -lm".split(), folder)
         self.library = ctypes.CDLL(str(folder / "loop.so"))
 
     def peak_db(self, machine):
@@ -156,10 +145,9 @@ class CompiledLoop:
         samples = int(self.rate * 30 / slowest)
         for _ in range(7):
             error = np.zeros(samples)
-            pointers = [each.ctypes.data_as(ctypes.c_void_p) for each in (a, b, c)]
             self.library.loop(
-                ctypes.c_long(len(a)), ctypes.c_long(samples), *pointers, ctypes.c_double(self.into),
-                ctypes.c_double(self.out), ctypes.c_double(1.0), error.ctypes.data_as(ctypes.c_void_p),
+                ctypes.c_long(len(a)), ctypes.c_long(samples), *map(pointer, (a, b, c)), ctypes.c_double(self.into),
+                ctypes.c_double(self.out), ctypes.c_double(1.0), pointer(error),
             )  # fmt: skip
             left, first = np.abs(error[-samples // 8 :]).max(), np.abs(error[: samples // 8]).max()
             if left < 1e-6 * first:
