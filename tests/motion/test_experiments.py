@@ -37,7 +37,7 @@ def accelerance(model: ModalModel, hertz: np.ndarray) -> Identified:
 def test_closed_loop_estimate_is_free_of_the_bias_of_the_direct_one():
     """Integrator under feedback with strong noise: the direct ratio tends to the inverse of the controller."""
     rng = np.random.default_rng(0)
-    n, noise = rng.normal(size=(2, 100_000))
+    n, noise = rng.normal(size=(2, 400_000))
     loop = StateModel(
         np.array([[0.8]]),
         np.array([[0.1, -0.2]]),
