@@ -328,7 +328,7 @@ def test_a_setpoint_leaves_what_a_simulation_leaves(advance):
     plant, law, step = network.plant, network.controller, 1 / (rate * every)
     a, b = held(plant.a, plant.b, step)
     x, z, u, new = np.zeros(len(a)), np.zeros(len(law.a)), np.zeros(2), np.zeros(2)
-    error = np.zeros(12 * samples * every)
+    error = np.zeros(8 * samples * every)
     for k in range(len(error)):
         r = fine[k % len(fine)]
         if k % every == 0:

@@ -25,18 +25,6 @@ def test_oscillator_is_equation_11(position, velocity, force):
     assert again == pytest.approx(force, rel=1e-9, abs=1e-7)
 
 
-def test_partial_derivatives_match_those_by_hand(models):
-    model = models["exact"]
-    q, v = 0.4, -0.7
-    by_position, by_velocity, by_force = partial_derivatives(model.plant, q, v, 3.0)
-    assert by_position == pytest.approx(
-        (-model.stiffness - 2 * model.excitation * q * v) / model.mass, rel=1e-8
-    )
-    slope = model.excitation * (model.separator**2 - q**2) - model.damping - 2 * model.drag * abs(v)
-    assert by_velocity == pytest.approx(slope / model.mass, rel=1e-8)
-    assert by_force == pytest.approx(1 / model.mass, rel=1e-8)
-
-
 def hard_acceleration(position, velocity, force, p):
     return (
         force - p[4] - p[1] * velocity - p[2] * position - p[3] * position**3 * (1 + p[5] * velocity**2)

@@ -139,33 +139,28 @@ def test_deviation_is_relative_and_has_no_meaning_at_zero():
     assert Claim(entry()).deviation is None
 
 
-@pytest.mark.parametrize(
-    ("kind", "published", "tolerance", "ours", "text"),
-    [
-        ("exact", 0.0, Tolerance("rounding", absolute=1e-12), 6.6613381e-16, "< 1e-12"),
-        ("exact", 0.0, Tolerance("rounding", absolute=1e-12), 2.3456e-5, "2.35e-05"),
-        ("exact", 0.0, Tolerance("a count", absolute=0.0), 0.0, "0"),
-        ("exact", 1.0, Tolerance("rounding", absolute=1e-12), 1.0, "1"),
-        ("value", 0.0, Tolerance("half a digit", absolute=0.05), 0.012345, "0.0123"),
-        ("check", None, Tolerance("rounding", absolute=1e-12), 6.6613381e-16, "< 1e-12"),
-    ],
-)
-def test_of_an_identity_the_bound_is_shown_and_not_its_rounding(kind, published, tolerance, ours, text):
-    assert Claim(entry(kind, published, tolerance=tolerance), ours).shown(3) == text
+ROUNDING = Tolerance("rounding", absolute=1e-12)
 
 
 @pytest.mark.parametrize(
-    ("ours", "room", "text"),
+    ("fields", "ours", "text"),
     [
-        (0.21105, 0.01, "0.21"),
-        (-37.26, 0.2, "-37"),
-        (37.26, 1e-6, "37.3"),
-        (0.3, 0.2, "0.3"),
+        # Of an identity the bound is shown, not its rounding.
+        ({"kind": "exact", "published": 0.0, "tolerance": ROUNDING}, 6.6613381e-16, "< 1e-12"),
+        ({"kind": "exact", "published": 0.0, "tolerance": ROUNDING}, 2.3456e-5, "2.35e-05"),
+        ({"kind": "exact", "published": 0.0, "tolerance": Tolerance("a count", absolute=0.0)}, 0.0, "0"),
+        ({"kind": "exact", "published": 1.0, "tolerance": ROUNDING}, 1.0, "1"),
+        ({"published": 0.0, "tolerance": Tolerance("half a digit", absolute=0.05)}, 0.012345, "0.0123"),
+        ({"kind": "check", "published": None, "tolerance": ROUNDING}, 6.6613381e-16, "< 1e-12"),
+        # No digit is shown that the drift lets turn.
+        ({"drift": Tolerance("two processors", absolute=0.01)}, 0.21105, "0.21"),
+        ({"drift": Tolerance("two processors", absolute=0.2)}, -37.26, "-37"),
+        ({"drift": Tolerance("two processors", absolute=1e-6)}, 37.26, "37.3"),
+        ({"drift": Tolerance("two processors", absolute=0.2)}, 0.3, "0.3"),
     ],
 )
-def test_no_digit_is_shown_that_the_drift_lets_turn(ours, room, text):
-    drift = Tolerance("seen between two processors", absolute=room)
-    assert Claim(entry(drift=drift), ours).shown(3) == text
+def test_as_many_digits_are_shown_as_mean_something(fields, ours, text):
+    assert Claim(entry(**fields), ours).shown(3) == text
 
 
 @pytest.mark.parametrize(

@@ -82,22 +82,6 @@ def test_a_wrong_argument_is_named(name, value, message):
         taken(**{name: value})
 
 
-def test_other_forms_of_the_same_numbers_become_what_the_annotation_says():
-    frozen = np.arange(6.0).reshape(2, 3)
-    frozen.flags.writeable = False
-    for matrix in (
-        frozen,
-        frozen.tolist(),
-        frozen.astype(np.float32),
-        np.asfortranarray(frozen),
-        frozen[::-1][::-1],
-    ):
-        result = taken(np.float32(2), np.int64(3), matrix, (Part(1, [[1, 2]]),), [0, 1])
-        assert result[:2] == (2.0, 3) and result[4] == (0.0, 1.0)
-        assert result[2].dtype == np.float64 and result[2].flags.c_contiguous and result[2].flags.writeable
-        np.testing.assert_array_equal(result[2], frozen)
-
-
 def test_a_result_that_is_not_finite_is_an_error():
     @checked
     def ratio(number: float) -> np.ndarray:
