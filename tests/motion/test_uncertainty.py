@@ -45,7 +45,7 @@ def place(frequencies=ONES, residues=ONES, damping=ONES, gain=1.0, delay=0.0):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("options", "function"), zip([{}, SAMPLED, {"sample_time": 1.4e-3}], FUNCTIONS, strict=True)
+    ("options", "function"), list(zip([{}, SAMPLED, {"sample_time": 1.4e-3}], FUNCTIONS, strict=True))
 )
 def test_the_worst_place_is_the_worst_of_a_grid(options, function):
     """The last sample time folds the second mode back below half the rate."""
