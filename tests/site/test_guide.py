@@ -57,7 +57,8 @@ def test_the_report_is_written(checkout, tmp_path, capsys):
     words = shlex.split(REPORTS[0])[3:]
     assert main([*words[:-1], str(tmp_path / words[-1])]) == 0
     assert "12 kg" in capsys.readouterr().out
-    assert (tmp_path / words[-1]).read_text(encoding="utf-8").count("<img") == 2
+    page = (tmp_path / words[-1]).read_text(encoding="utf-8")
+    assert page.count("<img") == 2 and "MC and AD" in page and "stopped by" in page
 
 
 @pytest.mark.parametrize("line", BUILDS)

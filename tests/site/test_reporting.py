@@ -7,11 +7,9 @@ import pytest
 
 from stillwork.__main__ import main
 from stillwork.machine.report import Missing, report_file
-from workbook import paths
 
 HERTZ = np.arange(5.0, 500.0)
 RESPONSE = 1 - 0.5 * HERTZ**2 / (120.0**2 - HERTZ**2 + 2j * 0.01 * 120 * HERTZ)
-HAMMER = paths.data("motion", "impact_frf_25k6/impact_hammer_5_hits.npz")
 
 
 @pytest.fixture(autouse=True)
@@ -132,13 +130,3 @@ def test_what_is_missing_is_asked(tmp_path, monkeypatch, capsys):
     assert main(["report", "a.csv"]) == 0
     said = capsys.readouterr().out
     assert "the rate in Hz" in said and "the unit of a" in said and "written: a.csv.html" in said
-
-
-@pytest.mark.slow
-def test_the_shipped_hammer_records_get_a_page():
-    lines, text, pictures = page_of(HAMMER, response_unit="m/s^2", force_unit="N", fit_hz=(100.0, 3100.0))
-    assert lines[0].startswith("hammer records of a machine of 0.8") and pictures == 2
-    assert "flexible modes at 810" in lines[0] and len(lines) == 3
-    first = re.search(r"<tr><td>(8\d\d\.?\d*) ± [\d.]+</td><td>0\.\d+ ± ", text)
-    assert float(first[1]) == pytest.approx(810.3, abs=0.3)
-    assert "MC and AD" in text and "stopped by" in text
