@@ -5,6 +5,7 @@ from contextlib import suppress
 from dataclasses import replace
 from math import comb
 
+import control as ct
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -64,6 +65,29 @@ def test_state_response_agrees_with_the_modal_one():
     # The rigid body makes A defective: the response then comes from solving.
     by_solving, expected = model.state_space().frequency_response(GRID), model.frequency_response(GRID)
     assert np.all(np.abs(by_solving - expected) <= 1e-8 * np.linalg.norm(expected, axis=(0, 1)))
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-3, 1e-6, 1e-9])
+@pytest.mark.parametrize("gap", [1e-6, 1e-9, 1e-12])
+def test_two_poles_that_rounding_parts_respond_as_in_any_units(unit, gap):
+    def lag(pole, gain):
+        return lti.StateModel(*(np.array([[each]]) for each in (-pole, gain, 1.0, 0.0)))
+
+    product, s = lag(1.0, unit) * lag(1.0 + gap, 1.0), 1j * np.array([0.3, 1.0, 10.0])
+    np.testing.assert_allclose(product(s), unit / ((s + 1) * (s + 1 + gap)), rtol=1e-9)
+    sampled = lti.StateModel(*(getattr(product, each) for each in "abcd"), sample_time=1.0)
+    sampled = replace(sampled, a=0.7 * sampled.a + 1.4 * np.eye(2))  # poles at 0.7
+    force = np.random.default_rng(4).normal(size=(1, 50))
+    plain = ct.forced_response(sampled.to_control(), inputs=force[0]).outputs
+    np.testing.assert_allclose(lti.simulate(sampled, force)[0], plain, rtol=0, atol=1e-9 * unit)
+
+
+def test_a_pole_among_the_points_is_refused_by_its_name():
+    body = lti.StateModel(np.eye(2, k=1), np.eye(2)[:, 1:], np.eye(2)[:1], np.zeros((1, 1)))
+    with pytest.raises(InputError, match=r"^s holds a pole"):
+        body(np.array([1j, 0]))
+    with pytest.raises(InputError, match=r"^omega holds a pole"):
+        body.frequency_response(np.zeros(1))
 
 
 @settings(max_examples=50, deadline=None)

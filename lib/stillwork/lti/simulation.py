@@ -57,8 +57,8 @@ def simulate(
 
 def _moved(model: StateModel, inputs: np.ndarray, initial: np.ndarray) -> np.ndarray:
     """What the states add to the outputs."""
-    scale, a, _, vectors = model._decomposed
-    if vectors is None:
+    scale, a, _, _ = model._decomposed
+    if model._residues[1] is None:
         driven = np.ascontiguousarray((model.b / scale[:, None] @ inputs).T)
         return _step_dense(a, driven, model.c * scale, initial / scale)
     left, parts = model._recursion

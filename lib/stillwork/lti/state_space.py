@@ -18,7 +18,7 @@ from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.lti.foreign import matrices, minimal
 from stillwork.lti.scaling import state_scale
 
-# Above this condition of the eigenvectors, residues would lose more than half of the digits.
+# Above this condition of the eigenvectors, or where residues cancel by as much, they would lose more than half of the digits.
 WORST_CONDITION = 1e6
 
 
@@ -254,7 +254,10 @@ class StateModel:
         # Each part drives only later ones: a line of delays is as many as it has samples.
         for part in self._coupled:
             shifted = point[:, None, None] * np.eye(len(part)) - a[np.ix_(part, part)]
-            solved[:, part] = np.linalg.solve(shifted, b[part] + a[part] @ solved)
+            try:
+                solved[:, part] = np.linalg.solve(shifted, b[part] + a[part] @ solved)
+            except np.linalg.LinAlgError:
+                raise InputError(f"{name} holds a pole of the model; leave it out") from None
         return response + np.moveaxis(c @ solved, 0, -1)
 
     @cached_property  # a peak between grid points is computed many times
@@ -274,7 +277,8 @@ class StateModel:
         if vectors is None:
             return poles, None
         right = linalg.solve(vectors, self.b / scale[:, None])
-        return poles, ((self.c * scale) @ vectors)[:, None, :] * right.T[None]
+        residues = ((self.c * scale) @ vectors)[:, None, :] * right.T[None]
+        return poles, None if _cancel(poles, residues, float(self.sample_time > 0)) else residues
 
     @cached_property
     def _triangular(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -543,6 +547,20 @@ def _decomposition(a: bytes, states: int) -> tuple[np.ndarray, np.ndarray, np.nd
     poles, vectors = linalg.eig(balanced / unit)
     skew = np.linalg.cond(vectors) > WORST_CONDITION
     return scale, balanced, poles.astype(complex) * unit, None if skew else vectors.astype(complex)
+
+
+def _cancel(poles: np.ndarray, residues: np.ndarray, origin: float) -> bool:
+    """Whether residues of nearly equal poles cancel: they do in any units, eigenvectors are skew in some of them alone."""
+    size = abs(poles - origin)
+    near = abs(poles[:, None] - poles) <= 1e-3 * size
+    if near.sum() <= len(poles):
+        return False
+    with np.errstate(all="ignore"):  # as far from a pole as this is from the origin
+        shares = np.where(near, 1 / (poles + size * np.exp(1j) - poles[:, None]), 0.0)
+        sums, sizes = (
+            np.linalg.norm(each, axis=0) for each in (residues @ shares, abs(residues) @ abs(shares))
+        )
+    return bool((sizes > WORST_CONDITION * sums).any())
 
 
 @checked
