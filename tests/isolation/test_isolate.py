@@ -537,8 +537,8 @@ def test_an_accepted_limit_is_not_reached_on_the_record_itself(tmp_path):
         lines, low_high = np.fft.rfft(platform[0]) / platform.size, about["judged_hz"]
         f = np.fft.rfftfreq(platform.size, 1 / (FINE * rate))
         found = np.sqrt(2 * np.sum(np.abs(lines[(f >= low_high[0]) & (f <= low_high[1])]) ** 2))
-        # Adapting it learns of footfalls in seconds: half a minute is one stretch of what the weights wander through.
-        assert np.ravel(replayed["minutes"]) == pytest.approx(found, rel=0.1 if mode == "frozen" else 0.2)
+        # What remains is a seven-hundredth of the passive motion: that the floor here runs straight between samples shows.
+        assert np.ravel(replayed["minutes"]) == pytest.approx(found, rel=0.1, abs=3e-4 * about["without"][0])
         assert replayed["saturated"] == 0
 
 
