@@ -44,7 +44,7 @@ SLOWEST = 0.1  # of the mean update's eigenvalues, of FeRLS: a mode takes ten ti
 LIMIT, CREST = 1.0, 3.0
 WITHIN = 1.1  # power of the remaining motion, over that once settled, at which weights count as settled
 FASTER = 1.05  # between time constants that are tried
-PERIODS = 10.0  # of the band's lower end that a time constant holds for each regressor: fewer leave R unknown
+PERIODS = 3.0  # of the band's lower end that a time constant holds for each regressor: half of it leaves 5 % more motion
 # How much more than expected weights may move within the band: seen up to 7 times, with a lightly damped mode under
 # footfalls.
 JITTER = 5.0
