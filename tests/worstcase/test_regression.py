@@ -1,10 +1,17 @@
+import sys
 import warnings
 
 import cvxpy
 import numpy as np
 import pandas as pd
 import pytest
+from sklearn import config_context
+from sklearn.base import clone
+from sklearn.linear_model import LinearRegression
 from sklearn.metrics import r2_score
+from sklearn.model_selection import KFold, cross_val_score
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
 from sklearn.utils.estimator_checks import check_estimator
 
 from stillwork.base.checks import InputError
@@ -38,6 +45,42 @@ KINDS = [
 @pytest.mark.parametrize("estimator", EVERY, ids=repr)
 def test_it_passes_scikit_learn_s_own_checks(estimator):
     assert len(check_estimator(estimator, on_skip=None)) > 50
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("estimator", EVERY, ids=repr)
+def test_a_score_of_a_named_table_is_that_of_its_array(estimator):
+    X, y = record(6, samples=200)
+    named = pd.DataFrame(X, columns=["a", "b", "c"])
+    assert clone(estimator).fit(named, y).score(named, y) == clone(estimator).fit(X, y).score(X, y)
+
+
+def test_weights_are_routed_to_fit_and_score():
+    X, y = record(7, samples=90)
+    weights = np.random.default_rng(7).uniform(0, 2, len(X))
+    unlike, rls = clone(EVERY[0]), clone(EVERY[1])
+    with config_context(enable_metadata_routing=True):
+        found = cross_val_score(rls, X, y, cv=3, params={"sample_weight": weights})
+        assert make_pipeline(StandardScaler(), unlike).fit(X, y).score(X, y) > 0.5  # without weights
+    for score, (past, held) in zip(found, KFold(3).split(X), strict=True):
+        model = LinearRegression().fit(X[past], y[past], weights[past])
+        assert score == pytest.approx(model.score(X[held], y[held], weights[held]), rel=1e-9)
+
+
+def test_numbers_are_fitted_without_scikit_learn_and_what_is_wrong_with_them_is_reported(monkeypatch):
+    X, y = record(8)
+    wanted = clone(EVERY[1]).fit(X, y)
+    for module in ("sklearn", "sklearn.utils", "sklearn.utils.validation", "sklearn.exceptions"):
+        monkeypatch.setitem(sys.modules, module, None)
+    rls = RecursiveLeastSquares()
+    with pytest.raises(InputError, match="not fitted"):
+        rls.predict(X)
+    np.testing.assert_array_equal(rls.fit(X.tolist(), y.tolist()).coef_, wanted.coef_)
+    for wrong in (X[:, 0], X[:, :2], np.where(X > 1, np.inf, X), X[:0]):
+        with pytest.raises(InputError, match=r"^X is an array of shape"):
+            rls.predict(wrong)
+    with pytest.raises(ImportError, match="regression"):
+        rls.predict(pd.DataFrame(X))
 
 
 def record(seed=0, samples=60, outputs=None, features=3):
@@ -175,10 +218,6 @@ def test_a_stream_holds_down_the_variances_that_its_batch_does(given):
             stream.partial_fit(part, target)
         assert np.allclose(stream.covariance_, whole.covariance_, rtol=1e-9, atol=0)
         assert np.allclose(stream.held_, whole.held_, rtol=1e-9, atol=0)
-
-
-def clone(estimator):
-    return type(estimator)(**estimator.get_params())
 
 
 @pytest.mark.parametrize("estimator", KINDS, ids=lambda e: type(e).__name__)

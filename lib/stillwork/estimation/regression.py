@@ -1,7 +1,8 @@
 """Recursive estimators with scikit-learn's interface: `fit` for a record, `partial_fit` for a stream.
 
 They follow its protocol without its base classes, whose import takes longer than all else of a first call: it is imported
-for tables that are no arrays of numbers, for scores, and where it asks by itself. A sample with NaN in a feature or an output is lost: forgetting acts, but nothing is learned.
+for tables that are no arrays of numbers, for scores, and where it asks by itself. A sample with NaN in a feature or an
+output is lost: forgetting acts, but nothing is learned.
 A call that is refused changes nothing.
 """
 
@@ -9,6 +10,7 @@ import math
 import warnings
 from dataclasses import fields
 from functools import cache
+from inspect import signature
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,7 +24,7 @@ from stillwork.base.checks import (
     require_kind,
     require_number,
 )
-from stillwork.base.extras import require_package
+from stillwork.base.extras import MissingPackage, require_package
 from stillwork.estimation.recursive import LARGEST, require_finite_squares, require_squares
 from stillwork.estimation.triangle_kernels import NO_BOUNDS, empty_record, learn_rows, start_record
 
@@ -121,7 +123,7 @@ class RecursiveRegressor:
         array([ 6., nan])
         """
         self._require_fitted()
-        return self._features(X, anew=False) @ self.coef_.T + self.intercept_
+        return self._outputs(self._features(X, anew=False))
 
     def score(self, X, y, sample_weight=None):
         """Coefficient of determination R^2 over the samples without NaN, its mean over the outputs.
@@ -157,7 +159,7 @@ class RecursiveRegressor:
         if not weights[used].any():
             raise _nothing()
         r2_score = require_package("sklearn.metrics").r2_score
-        return r2_score(y[used], self.predict(X[used]), sample_weight=weights[used])
+        return r2_score(y[used], self._outputs(X[used]), sample_weight=weights[used])
 
     def __sklearn_tags__(self):
         from sklearn.utils import InputTags, RegressorTags, Tags, TargetTags
@@ -169,9 +171,34 @@ class RecursiveRegressor:
             input_tags=InputTags(allow_nan=True),
         )
 
+    def get_metadata_routing(self):
+        """Where scikit-learn's metadata routing is enabled: weights that reach the estimator are used.
+
+        Returns
+        -------
+        sklearn.utils.metadata_routing.MetadataRequest
+
+        Examples
+        --------
+        >>> estimation.RecursiveLeastSquares().get_metadata_routing().score.requests
+        {'sample_weight': True}
+        """
+        from sklearn.utils.metadata_routing import MetadataRequest
+
+        requests = MetadataRequest(owner=type(self).__name__)
+        for name in ("fit", "partial_fit", "score"):
+            if "sample_weight" in signature(getattr(self, name)).parameters:
+                getattr(requests, name).add_request(param="sample_weight", alias=True)
+        return requests
+
+    _get_default_requests = get_metadata_routing  # where scikit-learn before 1.8 looks for a scorer
+
+    def _outputs(self, X):
+        return X @ self.coef_.T + self.intercept_
+
     def _require_fitted(self) -> None:
         if not hasattr(self, "coef_"):
-            error = require_package("sklearn.exceptions").NotFittedError
+            error = getattr(_of_scikit_learn("exceptions"), "NotFittedError", InputError)
             raise error(f"this {type(self).__name__} is not fitted; call fit or partial_fit first")
 
     def _update(self, X, outputs, weights, anew) -> tuple[np.ndarray, np.ndarray]:
@@ -240,8 +267,7 @@ class RecursiveRegressor:
             )
         y = _as_doubles(y)
         if not _is_plain(y):
-            check_array = require_package("sklearn.utils.validation").check_array
-            y = _as_input_error("y", check_array, y, ensure_2d=False, input_name="y", **NUMBERS)
+            y = _as_input_error("y", "check_array", y, ensure_2d=False, input_name="y", **NUMBERS)
         require_finite_squares("y", y)
         if y.shape[:1] != X.shape[:1]:
             raise InputError(
@@ -274,8 +300,7 @@ class RecursiveRegressor:
             self.n_features_in_ = X.shape[1]
             vars(self).pop("feature_names_in_", None)
         elif not (plain and X.shape[1] == self.n_features_in_):
-            validate_data = require_package("sklearn.utils.validation").validate_data
-            X = _as_input_error("X", validate_data, self, X, reset=anew, **NUMBERS)
+            X = _as_input_error("X", "validate_data", self, X, reset=anew, **NUMBERS)
         require_finite_squares("X", X)
         return X
 
@@ -488,9 +513,14 @@ class UnweightedRegressor(RecursiveRegressor):
 
 
 def _as_doubles(value):
-    """An array of other real numbers as one that is calculated with; all else as it is."""
-    other = type(value) is np.ndarray and value.dtype != np.float64 and value.dtype.kind in "fiub"
-    return value.astype(np.float64) if other else value
+    """Lists and arrays of real numbers as an array that is calculated with; all else as it is."""
+    if type(value) not in (np.ndarray, np.memmap, list):
+        return value
+    try:
+        array = np.asarray(value)
+    except ValueError:  # rows of different lengths
+        return value
+    return np.asarray(array, np.float64) if array.dtype.kind in "fiub" else value
 
 
 def _is_plain(value) -> bool:
@@ -504,10 +534,26 @@ def _is_plain(value) -> bool:
     )
 
 
+def _of_scikit_learn(module: str):
+    """A module of scikit-learn; None where it is not installed."""
+    try:
+        return require_package(f"sklearn.{module}")
+    except MissingPackage:
+        return None
+
+
 def _as_input_error(name, check, *values, **how) -> np.ndarray:
     """What scikit-learn's check returns; what it refuses is refused as an `InputError` with the argument's name."""
-    if isinstance(values[-1], np.ma.MaskedArray):
+    value = values[-1]
+    if isinstance(value, np.ma.MaskedArray):
         raise InputError(f"{name} is a masked array; give {name}.filled(np.nan), a sample with NaN is lost")
+    if type(value) is np.ndarray and value.dtype == np.float64 and not _of_scikit_learn("utils"):
+        raise InputError(
+            f"{name} is an array of shape {value.shape} with {np.isinf(value).sum()} infinite values; give finite "
+            "numbers, or NaN for what is lost, as X (samples, features) with the features of before, and y (samples,) or "
+            "(samples, outputs)"
+        )
+    check = getattr(require_package("sklearn.utils.validation"), check)
     try:
         with np.errstate(all="ignore"):
             return check(*values, **how)
