@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from stillwork.base.bounds import NonNegative, Positive, within
-from stillwork.base.checks import InputError, pluralise, require_array, require_number
+from stillwork.base.checks import InputError, pluralise, require_array, require_memory, require_number
 from stillwork.base.validation import checked
 from stillwork.lti.delays import delayed, split_delay
 from stillwork.lti.modal import ModalModel
@@ -109,8 +109,8 @@ def zoh(model: StateModel, sample_time: Positive, delay: NonNegative = 0.0) -> S
     Returns
     -------
     StateModel
-        In discrete time, with as many states, and with a delay those that hold earlier inputs; exact for an input that is
-        held between samples.
+        In discrete time, with as many states, and with a delay those that hold earlier inputs and outputs; exact for an
+        input that is held between samples.
 
     Raises
     ------
@@ -134,6 +134,7 @@ def zoh(model: StateModel, sample_time: Positive, delay: NonNegative = 0.0) -> S
     if not delay:
         return held
     whole, late = split_delay(delay / sample_time)
+    require_memory("delay", whole * len(model.c), whole * len(model.c))
     if late:  # until the new input acts, that of the sample before does: it is a state
         n, m = b.shape
         after, new = _exponential(model, (1 - late) * sample_time)
