@@ -238,9 +238,14 @@ def _followed(
     return FINER * np.fft.irfft(moved, FINER * record.shape[1], axis=1)
 
 
-def record_grid(design: IsolationDesign, floor: FloorSpectra) -> Float64[np.ndarray, " lines"]:
-    """Frequencies (Hz) between which the response of a mode with 1 % of damping is a straight line."""
-    return np.geomspace(SLOWEST_HZ, min(floor.frequencies_hz[-1], 0.49 * design.loop.rate), LINES)
+def record_grid(
+    design: IsolationDesign, floor: FloorSpectra, lines: int = LINES
+) -> Float64[np.ndarray, " lines"]:
+    """Frequencies (Hz) between which a response is taken for a straight line.
+
+    Where they lie a share h apart, a mode of relative damping d is off by (h / d)^2 / 4 of its peak: by 2 % at d = 0.01.
+    """
+    return np.geomspace(SLOWEST_HZ, min(floor.frequencies_hz[-1], 0.49 * design.loop.rate), lines)
 
 
 def through(
