@@ -62,7 +62,7 @@ SEGMENTS = 4  # of a record, half overlapping, that the finest lines average ove
 COARSE = 4  # of the coarse lines, which give way to fine ones
 BURST_S = 0.5  # of a stretch of a record whose power counts
 DRAWS = 24  # of isolators in the box, for the band of a prediction
-FADE_S = 0.5  # at both ends of the record
+FADE_S = 5.0  # at both ends of the record, a twentieth of it at most: in half a second a microseism leaks above 1 Hz
 # How far the shares of the box go of what `spread` is: of each mode's mass and stiffness, damping, actuator pole
 SPREADS = {"mass": 1.0, "stiffness": 1.0, "damping": 4.0, "pole": 2.0}
 

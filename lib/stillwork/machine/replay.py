@@ -25,7 +25,7 @@ from stillwork.machine.isolation_prediction import IsolationPrediction, record_g
 COMPILERS = ("cc", "gcc", "clang")
 MODES = ("frozen", "adapting")
 MINUTE_S = 60
-TAIL_S = 3.0  # after the record, which do not count
+EDGE_S = 10.0  # before and after the record, in which motion fades: they do not count
 # Of the paths, 0.018 % apart: the loop takes its part off the floor's, and what is left is no larger than where these are wrong
 # by a hundredth of a mode's peak.
 LINES = 64_000
@@ -77,9 +77,10 @@ def replay(
     """
     rate, isolator = design.loop.rate, design.isolator
     record = np.asarray(floor.record)
-    count, lead = round(record.shape[1] / floor.record_hz * rate), sum(waiting_samples(design.loop, pause_s))
-    tail = round(TAIL_S * rate)
-    order = np.arange(-lead, count + tail) % count
+    count, edge = round(record.shape[1] / floor.record_hz * rate), round(EDGE_S * rate)
+    rises = sum(waiting_samples(design.loop, pause_s))  # samples until the feedforward is whole
+    lead = rises + edge
+    order = np.arange(-lead, count + edge) % count
     grid = record_grid(design, floor, LINES)
     primary, held, _ = isolator.paths(grid, 1 / rate)
     read = signal.resample(record, count, axis=1)
@@ -93,12 +94,17 @@ def replay(
     f = np.fft.rfftfreq(len(order), 1 / rate)
     inside = (f >= band_hz[0]) & (f <= band_hz[1])
 
-    def left(lines):
-        banded = np.fft.irfft(lines * inside, len(order), axis=1)[:, lead : lead + count]
+    rise = np.sin(np.linspace(0, np.pi / 2, edge)) ** 2
+    fade = np.concatenate(
+        [np.zeros(rises), rise, np.ones(count), rise[::-1]]
+    )  # else slow motion leaks into the band
+
+    def left(motion):
+        lines = np.fft.rfft(motion * fade, axis=1) * inside
+        banded = np.fft.irfft(lines, len(order), axis=1)[:, lead : lead + count]
         return np.sqrt(_seconds(banded**2, rate, np.mean))
 
-    passive = np.fft.rfft(moved, axis=1)
-    motions, peaks, saturated = [left(passive)], [], []
+    motions, peaks, saturated = [left(moved)], [], []
     counted = slice(lead, lead + count)
     with _loop(design, files, name, pause_s) as (run, ran):
         for begins in (len(order), 0):
@@ -111,8 +117,9 @@ def replay(
             saturated.append(int(np.count_nonzero(flags[counted] & SATURATED)))
             kept = float(np.mean(flags[counted] & LOUD > 0))
             # From rest to rest, with the rise before it and a fade after: else its lines had a step of the commands.
-            forces[lead + count :] *= np.linspace(1.0, 0.0, tail)[:, None]
-            motions.append(left(passive + through(f, np.fft.rfft(forces.T, axis=1), grid, held)))
+            forces[lead + count :] *= rise[::-1, None]
+            pushed = through(f, np.fft.rfft(forces.T, axis=1), grid, held)
+            motions.append(left(moved + np.fft.irfft(pushed, len(order), axis=1)))
         alone, _ = run(quiet, still, np.inf, len(order))
     largest = np.abs(alone[counted]).max(axis=0)
     return Replay(ran, np.array(motions), np.array(peaks), (saturated[0], saturated[1]), kept, largest)
