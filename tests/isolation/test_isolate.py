@@ -537,8 +537,7 @@ def test_an_accepted_limit_is_not_reached_on_the_record_itself(tmp_path):
         lines, low_high = np.fft.rfft(platform[0]) / platform.size, about["judged_hz"]
         f = np.fft.rfftfreq(platform.size, 1 / (FINE * rate))
         found = np.sqrt(2 * np.sum(np.abs(lines[(f >= low_high[0]) & (f <= low_high[1])]) ** 2))
-        # What remains is a seven-hundredth of the passive motion: that the floor here runs straight between samples shows.
-        assert np.ravel(replayed["minutes"]) == pytest.approx(found, rel=0.1, abs=3e-4 * about["without"][0])
+        assert np.ravel(replayed["minutes"]) == pytest.approx(found, rel=0.05)  # likewise
         assert replayed["saturated"] == 0
 
 
