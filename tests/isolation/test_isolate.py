@@ -678,4 +678,5 @@ def test_the_guide_is_what_the_command_takes_and_does(tmp_path):
         f"of at most {len(RATIOS) * len(CUTOFFS_HZ) * len(HIGHPASSES)} tried" in guide
         and f"for {DRAWS} others" in guide
     )
+    assert any("what sets the time constant: 3 periods" in each for each in lines)
     assert f"up to {LONGEST_S:g} s" in guide and any("modes at 20.13 Hz" in each for each in lines)

@@ -30,9 +30,11 @@ from stillwork.machine.html_page import page, picture, table
 from stillwork.machine.isolation import FloorSpectra, Isolator
 from stillwork.machine.isolation_design import (
     DRAWS,
+    FASTER,
     HIGHEST_PHASE,
     HIGHEST_SENSITIVITY_DB,
     LIMIT,
+    PERIODS,
     SLOWEST,
     WITHIN,
     IsolationDesign,
@@ -322,6 +324,7 @@ def facts_of(design: IsolationDesign, found: IsolationPrediction, spectra: Floor
             f"{_step(design, algorithm)}, time constant {design.time_constant:.3g} s; a low-pass of {loop.smoothing:.2g} s from "
             "the weights to the command",
         ],
+        ["what sets the time constant", _slowed(design)],
         [
             "scatter of the weights",
             f"raises the power of what remains by {100 * design.variance:.2g} %",
@@ -334,6 +337,19 @@ def facts_of(design: IsolationDesign, found: IsolationPrediction, spectra: Floor
         ],
         *_condition(spectra),
     ]
+
+
+def _slowed(design: IsolationDesign) -> str:
+    """Why it adapts no faster, and what would let it."""
+    count, low = len(design.steady.correlation), design.loop.shaping.highpass_hz
+    if design.time_constant < FASTER * PERIODS * count / low:
+        return (
+            f"{PERIODS:g} periods of the band's lower end for each of {pluralise(count, 'regressor')}: shorter with a band that "
+            "begins higher or with fewer floor sensors"
+        )
+    if FASTER * design.certificate.slow > LIMIT:
+        return "slow motion through what is not known of the path: shorter with a smaller spread"
+    return "the scatter of the weights: shorter with a larger variance"
 
 
 def _condition(spectra: FloorSpectra) -> list[list[str]]:
