@@ -309,6 +309,9 @@ class Mismatch:
     frequencies_hz: Float64[np.ndarray, " frequencies"]
     size: Float64[np.ndarray, " frequencies"]
 
+    def __post_init__(self):
+        check_fields(self)
+
     @checked
     def loop_gain(self, level: NonNegative, time_constant: Positive) -> float:
         """Largest gain over the frequencies w of dv = -(step R^-1 psi_N D[psi' v]) at a `level` sqrt(psi' R^-1 psi).
