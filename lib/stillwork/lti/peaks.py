@@ -57,9 +57,16 @@ def resonance_grid(
     """
     require_number("high_hz", high_hz, above=low_hz)
     poles = np.ravel(require_array("poles", poles, dtype=complex))
-    centre, first = np.unique(np.abs(poles), return_index=True)
-    centre, poles = centre[centre > 0], poles[first[centre > 0]]
-    width = np.maximum(np.abs(poles.real), 1e-7 * centre)
+    poles = poles[np.argsort(np.abs(poles))]
+    centre = np.abs(poles)
+    # Poles of one distance count once, whatever their last bits, with the least width.
+    first = np.flatnonzero(np.diff(centre, prepend=0.0) > 1e-9 * centre)
+    width = (
+        np.minimum.reduceat(np.maximum(np.abs(poles.real), 1e-7 * centre), first)
+        if len(first)
+        else centre[:0]
+    )
+    centre = centre[first]
     reach = np.arcsinh(0.5 * centre / width)
     require_memory("points", points)
     require_memory("around", len(centre), 2 * around + 1)
