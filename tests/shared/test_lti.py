@@ -57,6 +57,19 @@ def test_modal_response_is_that_of_python_control(model):
     assert np.all(np.abs(ours - theirs) <= 1e-9 * np.linalg.norm(theirs, axis=(0, 1)))
 
 
+def test_a_grid_of_resonances_hangs_on_no_last_bit():
+    """Conjugates, and poles of one distance, may differ by rounding: each distance counts once, at its least width."""
+    pair = np.array([-0.5 + 500j, -0.5 - 500j, -3 + 40j, -3 - 40j])
+    corner = 70 * np.exp(1j * np.pi * np.array([0.75, 1.25, 1.0]))  # third order, Butterworth
+    poles = np.concatenate([pair, corner, [0.0, 0.0]])
+    grid = lti.resonance_grid(poles, 1.0, 200.0, 100, 10)
+    rng = np.random.default_rng(5)
+    for _ in range(5):
+        off = rng.permutation(poles * (1 + 4e-16 * rng.integers(-2, 3, len(poles))))
+        np.testing.assert_allclose(lti.resonance_grid(off, 1.0, 200.0, 100, 10), grid, rtol=1e-12)
+    assert np.diff(grid).min() > 1e-9 * grid.max()
+
+
 def test_state_response_agrees_with_the_modal_one():
     model = chain(np.full(5, 2.0)).at([0], [0, 4])
     flexible = model.modes(slice(1, None))
