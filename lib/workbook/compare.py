@@ -37,9 +37,10 @@ PRINTED = 1.0  # units of the last printed digit
 ROUNDING = 1.0
 
 # Levels of 256 by which any pixel may be off. The settings of other processors moved none by more than 43, along the
-# edge of a line whose numbers moved; none by more than 15 where the table is the same to the byte. A line in another
-# colour of the palette (`workbook.figures`) or a new mark moves some by more.
-SHADE, SAME_NUMBERS = 48, 24
+# edge of a line whose numbers moved; none by more than 31 where the table is the same to the byte: a picture's own
+# palette has another mixture of two lines' colours. A line in another colour of the palette (`workbook.figures`) or a new
+# mark moves some by more.
+SHADE, SAME_NUMBERS = 48, 40
 
 NUMBER = re.compile(r"(?<![\w.])[-+−]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 
