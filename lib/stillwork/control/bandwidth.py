@@ -17,7 +17,7 @@ from stillwork.base.validation import by_value, check_fields, checked, user_call
 from stillwork.control.crossover import crossover
 from stillwork.control.loops import LoopResponse, closed_loop, no_observer
 from stillwork.control.pid import Pid
-from stillwork.lti.delays import delayed, split_delay
+from stillwork.lti.delays import delayed, split_delay, with_input_before
 from stillwork.lti.discretisation import continuous_poles, late_modes, prewarped, tustin, zoh_response
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.peaks import Peak, refine_peak, resonance_grid
@@ -338,14 +338,7 @@ class Loop:
         """The sampled, delayed plant; its compliance acts on the force of the sample before."""
         whole, late = split_delay(self.delay)
         held, before = late_modes(self.plant, self.sample_time, late)
-        n = len(held.a)
-        a, b = (
-            np.zeros((n + 1, n + 1)),
-            np.append(held.b, [[1.0]], axis=0),
-        )  # the last state: the force before
-        a[:n, :n], a[:n, n:] = held.a, before
-        c = np.hstack([held.c, held.d])
-        return delayed(StateModel(a, b, c, np.zeros((1, 1)), self.sample_time), whole)
+        return delayed(with_input_before(held, before), whole)
 
     @checked
     def crossing_hz(self, controller: Pid) -> float:

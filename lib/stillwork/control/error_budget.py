@@ -14,7 +14,7 @@ from stillwork.base.bounds import Count, Fraction, NonNegative, Positive, Vector
 from stillwork.base.checks import InputError, require_choice, require_number
 from stillwork.base.validation import by_value, check_fields, checked, user_callback
 from stillwork.control.uncertainty import Perturbation, Uncertainty, place_at
-from stillwork.lti.delays import delayed, split_delay
+from stillwork.lti.delays import delayed, split_delay, with_input_before
 from stillwork.lti.discretisation import continuous_poles, zoh
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel, block_matrix, interconnect, response_between
@@ -282,14 +282,11 @@ class Network:
 def _held(model: StateModel, sample_time: float, delay: float) -> StateModel:
     """Zero-order-hold equivalent with the input late by `delay` samples, whole or not; measured before an input changes."""
     whole, late = split_delay(delay)
+    if late:
+        return zoh(model, sample_time, delay * sample_time)
     held = zoh(model, sample_time)
-    if late or np.any(model.d):
-        n, m = model.b.shape
-        rest = zoh(model, (1 - late) * sample_time)
-        old = rest.a @ zoh(model, late * sample_time).b if late else np.zeros((n, m))
-        a = block_matrix((n, m), (n, m), (held.a, old), (0, 0))
-        b, c = np.vstack([rest.b, np.eye(m)]), np.hstack([model.c, model.d])
-        held = StateModel(a, b, c, np.zeros_like(model.d), sample_time)
+    if np.any(model.d):
+        held = with_input_before(held, np.zeros_like(model.b))
     return delayed(held, whole)
 
 

@@ -1,6 +1,7 @@
 """Delays of discrete models: whole samples, and what a delay holds beside them."""
 
 import numpy as np
+from jaxtyping import Float64
 
 from stillwork.base.bounds import Natural, NonNegative
 from stillwork.base.checks import InputError, require_memory
@@ -13,6 +14,15 @@ def split_delay(samples: NonNegative) -> tuple[int, float]:
     """Whole samples of a delay and the part of one beside them; what is whole but for rounding counts as whole."""
     whole = int(np.floor(samples + 1e-9))
     return whole, max(samples - whole, 0.0) if samples - whole > 1e-9 else 0.0
+
+
+@checked
+def with_input_before(model: StateModel, before: Float64[np.ndarray, "states inputs"]) -> StateModel:
+    """The model with the input of the sample before as a state: it drives the states by `before`, and acts in place of d's."""
+    n, m = model.b.shape
+    a = np.block([[model.a, before], [np.zeros((m, n + m))]])
+    b, c = np.vstack([model.b, np.eye(m)]), np.hstack([model.c, model.d])
+    return StateModel(a, b, c, np.zeros_like(model.d), model.sample_time)
 
 
 @checked

@@ -14,7 +14,7 @@ from scipy import linalg
 from stillwork.base.bounds import NonNegative, Positive, within
 from stillwork.base.checks import InputError, pluralise, require_array, require_memory, require_number
 from stillwork.base.validation import checked
-from stillwork.lti.delays import delayed, split_delay
+from stillwork.lti.delays import delayed, split_delay, with_input_before
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel
 
@@ -136,12 +136,8 @@ def zoh(model: StateModel, sample_time: Positive, delay: NonNegative = 0.0) -> S
     whole, late = split_delay(delay / sample_time)
     require_memory("delay", whole * len(model.c), whole * len(model.c))
     if late:  # until the new input acts, that of the sample before does: it is a state
-        n, m = b.shape
         after, new = _exponential(model, (1 - late) * sample_time)
-        old = after @ _exponential(model, late * sample_time)[1]
-        a = np.block([[a, old], [np.zeros((m, n + m))]])
-        c = np.hstack([model.c, model.d])
-        held = StateModel(a, np.vstack([new, np.eye(m)]), c, np.zeros_like(model.d), sample_time)
+        held = with_input_before(replace(held, b=new), after @ _exponential(model, late * sample_time)[1])
     return replace(
         delayed(held, whole),
         input_labels=model.input_labels,
