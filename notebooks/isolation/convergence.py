@@ -167,8 +167,7 @@ def follow_sideways(
     adaptation = FeRls(steady.covariance, forgetting, growth_limit=np.inf)
     settings = {"adaptation": adaptation, "weights": steady.weights + error, "noise": False, "seed": seed}
     run = simulate(twin, floor, duration_s, **settings)
-    update = np.kron(np.eye(twin.actuators), np.linalg.inv(steady.correlation)) @ steady.update
-    values, vectors = np.linalg.eig(update)
+    values, vectors = np.linalg.eig(steady.rls_update)
     modes = np.linalg.solve(vectors, error.ravel().astype(complex))
     mean = (vectors @ (np.exp(-np.outer(values, run.time_s) / memory_s) * modes[:, None])).real.T
 

@@ -367,9 +367,8 @@ def on_slow_floor(
     twin: Twin, floor: ShapedFloor, slow: ShapedFloor, forgetting: float, path_delay: int | None, seed: int
 ) -> SlowRun:
     """FeRLS on the `slow` floor from its settled state on the other one; without a `path_delay` by the published error."""
-    steady = steady_state(twin, floor)
-    covariance = (1 - forgetting) * np.linalg.inv(steady.correlation)
-    settings = FeRls((covariance + covariance.T) / 2, forgetting, growth_limit=np.inf, path_delay=path_delay)
+    steady = steady_state(twin, floor, forgetting=forgetting)
+    settings = FeRls(steady.covariance, forgetting, growth_limit=np.inf, path_delay=path_delay)
     options = {"weights": steady.weights, "seeds": [seed], "to_the_break": True}
     run = simulate_together(twin, [(WATCHED_S, slow)], adaptations={"": settings}, **options)[0][""]
     late = run.weights[len(run.weights) // 2 :] - steady.weights

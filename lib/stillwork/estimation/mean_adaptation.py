@@ -90,6 +90,11 @@ class Steady:
     def __post_init__(self):
         check_fields(self)
 
+    @property
+    def rls_update(self) -> Float64[np.ndarray, "modes modes"]:
+        """R^-1 A, of which `rls_eigenvalues` are the eigenvalues."""
+        return np.kron(np.eye(len(self.weights)), np.linalg.inv(self.correlation)) @ self.update
+
 
 @checked
 def mean_adaptation(

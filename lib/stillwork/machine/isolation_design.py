@@ -285,10 +285,8 @@ def settling_time(design: IsolationDesign, floor: FloorSpectra) -> float:
     Infinite where it takes a thousand time constants or more.
     """
     steady, rate = design.steady, design.step * design.loop.rate
-    moves = steady.update / np.trace(steady.correlation)
-    if isinstance(design.settings, FeRls):
-        one = np.eye(len(steady.weights))
-        moves = np.kron(one, np.linalg.inv(steady.correlation)) @ steady.update
+    recursive = isinstance(design.settings, FeRls)
+    moves = steady.rls_update if recursive else steady.update / np.trace(steady.correlation)
     noises = design.isolator.floor_noise, design.isolator.platform_noise
     inside = (floor.frequencies_hz >= LOWEST_HZ) & (floor.frequencies_hz <= design.loop.shaping.lowpass_hz)
 
