@@ -113,7 +113,7 @@ def _folder():
 def sweep() -> None:
     """Remove the folders of runners that were killed; one that has just been made may not be locked yet.
 
-    Only this user's own folders are opened: the place is shared, and others may put links and FIFOs there.
+    Only folders to which this user alone has access are opened: the place is shared, and others may put links and FIFOs there.
     """
     for folder in Path(tempfile.gettempdir()).glob(f"{PREFIX}*"):
         with contextlib.suppress(OSError):  # in use, or gone meanwhile
@@ -121,6 +121,7 @@ def sweep() -> None:
             if (
                 about.st_uid == os.getuid()
                 and stat.S_ISDIR(about.st_mode)
+                and not about.st_mode & 0o077
                 and time.time() - about.st_mtime > 60
             ):
                 with (folder / LOCK).open() as lock:

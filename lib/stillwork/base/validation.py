@@ -382,7 +382,7 @@ def _union(parts: tuple) -> Callable | None:
             except InputError:
                 continue
         for part in rest:
-            if isinstance(value, tuple) | hasattr(value, "dt") and hasattr(part, "converted"):
+            if (isinstance(value, tuple) or hasattr(value, "dt")) and hasattr(part, "converted"):
                 # a model: say what is wrong with it
                 return part.converted(name, value)
         raise InputError(f"{name} is {short_repr(value)}; give {' or '.join(map(_words, rest))}")

@@ -258,7 +258,7 @@ class AdaptationStepper:
         array([[-0.5]])
         """
         error = require_array("error", error, shape=self.weights.shape[:1])
-        regressor, sent, *late = self._with(regressor, command)
+        (regressor, sent), *late = self._queue(regressor, command)
         error = error - sent
         stopped, definite, weights, recursion = self._step(regressor, error)
         if not definite:
@@ -289,11 +289,11 @@ class AdaptationStepper:
         >>> stepper.update([0.0], [1.0], [0.0]).round(3)
         array([[-0.5]])
         """
-        self._late = list(self._with(regressor, command)[2:])
+        self._late = self._queue(regressor, command)[1:]
         self.samples += 1
 
-    def _with(self, regressor, command):
-        """psi_N and N[u] of now, and those kept, the oldest first."""
+    def _queue(self, regressor, command):
+        """psi_N and N[u] of the samples kept and of now, the oldest first."""
         actuators, n = self.weights.shape
         regressor = require_array("regressor", regressor, shape=(n,))
         if (command is None) != (self.settings.path_delay is None):
@@ -303,8 +303,7 @@ class AdaptationStepper:
         sent = (
             np.zeros(actuators) if command is None else require_array("command", command, shape=(actuators,))
         )
-        kept = [*self._late, (regressor, sent)]
-        return kept[0][0], kept[0][1], *kept[1:]
+        return [*self._late, (regressor, sent)]
 
     def _step(self, regressor, error):
         # whether the sample was taken in, whether P is definite, weights and recursion after it

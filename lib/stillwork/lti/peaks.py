@@ -61,11 +61,7 @@ def resonance_grid(
     centre = np.abs(poles)
     # Poles of one distance count once, whatever their last bits, with the least width.
     first = np.flatnonzero(np.diff(centre, prepend=0.0) > 1e-9 * centre)
-    width = (
-        np.minimum.reduceat(np.maximum(np.abs(poles.real), 1e-7 * centre), first)
-        if len(first)
-        else centre[:0]
-    )
+    width = np.minimum.reduceat(np.maximum(np.abs(poles.real), 1e-7 * centre), first)
     centre = centre[first]
     reach = np.arcsinh(0.5 * centre / width)
     require_memory("points", points)

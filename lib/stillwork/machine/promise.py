@@ -14,11 +14,8 @@ from stillwork.control.uncertainty import Uncertainty, make_box
 from stillwork.machine.hardware import ALLOWED_DB, own_functions, peak_with, section_response
 from stillwork.machine.machine_designs import Designed
 
-FOLDS, LOOKED, PHASES = (
-    10,
-    4000,
-    48,
-)  # of modes beyond the band: to how many rates, at how many frequencies and phases
+# Modes beyond the band: up to how many times the rate they are looked for, at how many frequencies and phases.
+FOLDS, LOOKED, PHASES = 10, 4000, 48
 
 
 def over_the_box(reached: AchievableBandwidth, spreads: Sequence[Uncertainty]) -> dict[str, float]:

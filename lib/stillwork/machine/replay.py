@@ -115,11 +115,11 @@ def replay(
                 )
             peaks.append(_seconds(np.abs(forces[counted].T), rate, np.max))
             saturated.append(int(np.count_nonzero(flags[counted] & SATURATED)))
-            kept = float(np.mean(flags[counted] & LOUD > 0))
             # From rest to rest, with the rise before it and a fade after: else its lines had a step of the commands.
             forces[lead + count :] *= rise[::-1, None]
             pushed = through(f, np.fft.rfft(forces.T, axis=1), grid, held)
             motions.append(left(moved + np.fft.irfft(pushed, len(order), axis=1)))
+        kept = float(np.mean(flags[counted] & LOUD > 0))  # of the floor's motion alone, adapting or not
         alone, _ = run(quiet, still, np.inf, len(order))
     largest = np.abs(alone[counted]).max(axis=0)
     return Replay(ran, np.array(motions), np.array(peaks), (saturated[0], saturated[1]), kept, largest)

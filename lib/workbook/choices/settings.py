@@ -384,7 +384,7 @@ def read_settings(topic: str) -> Joint | None:
     windows = [
         Window(axis, number, tuple(json.loads(held).items()), tuple(zip(ends[::2], ends[1::2], strict=True)))
         for axis, number, held, *texts in rows["window"]
-        for ends in [[float(text) + 0.0 for text in texts]]  # -0 is 0
+        for ends in [[float(text) for text in texts]]
     ]
     lost, never = (tuple(name for (name,) in rows[kind]) for kind in ("lost", "never"))
     agree, numbers, tried = map(int, rows["joint"][0])
