@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 import pandas as pd
@@ -15,6 +16,7 @@ from experiments.motion.designs import (
     NOISE_MODEL,
     SIX,
     Design,
+    as_read,
     controllers,
     limit,
     quick_limit,
@@ -28,13 +30,13 @@ from stillwork.control.applications import Application, compensator
 from stillwork.control.bandwidth import (
     SIX_DB,
     Bandwidth,
-    Loop,
     PeakConstraint,
     highest_peaks,
     make_loop,
     maximise_bandwidth,
 )
 from stillwork.control.crossover import crossover
+from stillwork.control.loops import LoopResponse
 from stillwork.control.pid import PidFamily
 from stillwork.estimation.observer import NoiseIntensities
 from workbook import figures
@@ -44,9 +46,12 @@ from workbook import figures
 
 
 def paint_bandwidths(
-    found: Mapping[str, Bandwidth], position: int, published_hz: Sequence[float] | np.ndarray
+    found: Mapping[str, Bandwidth], position: int, published_hz: Sequence[float] | np.ndarray, again_hz: float
 ):
-    """First crossings at one mass with their range over the masses, and the design parameters, beside the published."""
+    """First crossings at one mass with their range over the masses, and the design parameters, beside the published.
+
+    `again_hz` is the second published value of MC with two constraints.
+    """
     figure, axis = figures.new(1, 1, height=3.2)
     places, crossings = np.arange(len(found)), np.array([each.crossing_hz for each in found.values()])
     middle = crossings[:, position - 1]
@@ -56,7 +61,8 @@ def paint_bandwidths(
     designs = [each.design_hz for each in found.values()]
     style = {"markersize": 14, "color": figures.RED, "label": "design parameter $f_{bw}$"}
     axis.plot(places, designs, "_", **style)
-    figures.mark_published(axis, places - 0.15, published_hz)
+    twice = list(found).index("MC, two constraints")
+    figures.mark_published(axis, [*(places - 0.15), twice - 0.3], [*published_hz, again_hz])
     names = [name.replace(", ", ",\n").replace(" with ", "\nwith ") for name in found]
     axis.set_xticks(places, names, fontsize=7)
     axis.set_ylabel("bandwidth (Hz)")
@@ -88,6 +94,13 @@ def paint_map(
     axis.set(xlabel=r"noise model $Q_\nu$ (N²/s)", ylabel="first crossing (Hz)")
     axis.legend()
     return figure
+
+
+OPEN_LOOPS = {  # which of them Definition 1.2.1 means
+    "P_eq C_fb": lambda at: at.loop,
+    "P C_eq": lambda at: at.output_loop,
+    "P C_fb": lambda at: at.plant * at.controller,
+}
 
 
 # === Open choices =================================================================================================
@@ -124,10 +137,9 @@ class OpenChoices:
     def published(self) -> Bandwidth:
         return self.found["as published"]
 
-    @property
-    def crossing(self) -> float:
-        """First 0 dB crossing for the measured mass 5 of the chapter (Hz)."""
-        return float(self.published.crossing_hz[4])
+    def crossing(self, position: int) -> float:
+        """First 0 dB crossing for one measured mass, 1 to 7 (Hz)."""
+        return float(self.published.crossing_hz[position - 1])
 
     @property
     def interval(self) -> tuple[float, float]:
@@ -175,17 +187,63 @@ def bandwidth_map(
 
 # === Windows of the limit =========================================================================================
 
-WAYS_OF_READING = {  # of the frequencies and of R; both are printed for none of the bandwidths
-    "peaks refined": ({}, None),
-    "peaks refined, half of R": ({}, sensor_noise_alone),
+SEARCHES = {  # the frequencies of a search, and R; both are printed for none of the bandwidths
+    "fine grid": ({}, None),
+    "fine grid, half of R": ({}, sensor_noise_alone),
     "2000 frequencies": (COARSE, None),
     "2000 frequencies, half of R": (COARSE, sensor_noise_alone),
 }
-WRITTEN = {"rounded": (-0.5, 0.5), "cut off": (0.0, 1.0)}  # which f_bw are written as one hertz
+WRITTEN = {"rounded": (-0.5, 0.5), "cut off": (0.0, 1.0)}  # which bandwidths are written as one hertz
+MEANT = (("f_bw", 0), *((loop, mass) for loop in OPEN_LOOPS for mass in range(1, 8)))  # by a bandwidth
+SIX_DB_WRITTEN = tuple(10 ** (db / 20) for db in (5.5, 6.5))  # limits that are written as 6 dB
+AS_PRINTED = "as printed"
 
 
-def limit_windows(printed: Sequence[tuple[str, float]]) -> dict[str, dict[str, np.ndarray]]:
-    """For which limits of the peaks the largest f_bw of a design is written as printed.
+def designs_of(name: str, large: float) -> dict[str, Design]:
+    """A design as printed, and what the text allows beside it.
+
+    MC with two constraints is printed twice, with or without the noise model; MC and AD may have the third constraint and a
+    `large` Q_nu, on the plateau of (3.47).
+    """
+    design = DESIGNS[name]
+    if name == "MC, two constraints":
+        return {AS_PRINTED: design, "no noise model": as_read(design, "nothing", stage().damping[1])}
+    if name == "MC and AD":
+        limits = (*Design.constraints, "true_tracking")
+        return {
+            AS_PRINTED: design,
+            "third constraint": replace(design, noise_model=large, constraints=limits),
+        }
+    return {AS_PRINTED: design}
+
+
+def peaks_and_bandwidths(
+    design: Design, noise: NoiseIntensities | None, grid: Mapping, hertz: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Largest limited peak at each f_bw, and what may be called its bandwidth (Hz): (f_bw,) and (meanings, f_bw)."""
+    family, highest = controllers(design), np.zeros(len(hertz))
+    crossings = np.zeros((len(OPEN_LOOPS), 7, len(hertz)))
+    for mass, loop in enumerate(stage_loops(design, noise, **grid)):
+        pid = np.array([family(hz).frequency_response(loop.omega) for hz in hertz])
+        parts = (loop.plant_response, loop.compensator_response[..., None, :], pid)
+        at = LoopResponse(*parts)
+        for name in design.constraints:
+            highest = np.maximum(highest, np.abs(getattr(at, name)).max(axis=-1))
+        low = int(
+            np.searchsorted(loop.omega, 4 * np.pi * hertz[-1])
+        )  # a loop crosses 0 dB below twice the largest f_bw
+        at = LoopResponse(*(part[..., :low] for part in parts))
+        for k, function in enumerate(OPEN_LOOPS.values()):
+            gain = np.log(np.abs(function(at)))
+            last = np.argmax((gain[:, :-1] >= 0) & (gain[:, 1:] < 0), axis=1)  # before the first crossing
+            above, below = (np.take_along_axis(gain, (last + i)[:, None], 1)[:, 0] for i in (0, 1))
+            steps = np.diff(np.log(loop.omega))[last]
+            crossings[k, mass] = loop.omega[last] * np.exp(steps * above / (above - below)) / (2 * np.pi)
+    return highest, np.vstack([hertz, crossings.reshape(-1, len(hertz))])
+
+
+def limit_windows(printed: Sequence[tuple[str, float]], large: float) -> dict[tuple, np.ndarray]:
+    """For which limits of the peaks the largest f_bw of a design, or its crossing, is written as printed.
 
     The largest peak rises with f_bw, so the limit under which f_bw is the largest feasible one is the peak at f_bw.
 
@@ -193,45 +251,104 @@ def limit_windows(printed: Sequence[tuple[str, float]]) -> dict[str, dict[str, n
     ----------
     printed : sequence of (str, float)
         Names in `DESIGNS`, each with a printed bandwidth (Hz).
+    large : float
+        Q_nu with the third constraint, see `designs_of`.
 
     Returns
     -------
-    dict of str to dict of str to (printed, 2) array
-        By way of writing (`WRITTEN`) and way of reading (`WAYS_OF_READING`): lowest and highest limit.
+    dict of tuple to (meanings, 2) array
+        By the search (`SEARCHES`), the way of writing (`WRITTEN`), the place in `printed` and the variant (`designs_of`): lowest
+        and highest limit, by what the bandwidth means (`MEANT`).
     """
-
-    found = {written: {} for written in WRITTEN}
-    for way, (grid, noise) in WAYS_OF_READING.items():
-        given = noise and noise()
-        loops = {name: stage_loops(DESIGNS[name], given, **grid) for name in dict(printed)}
-        for written, ends in WRITTEN.items():
-            found[written][way] = np.array(
-                [
-                    [_largest_peak(loops[name], DESIGNS[name], hz + end, refined=not grid) for end in ends]
-                    for name, hz in printed
-                ]
-            )
+    found: dict[tuple, np.ndarray] = {}
+    numbers = {name: [(k, hz) for k, (each, hz) in enumerate(printed) if each == name] for name, _ in printed}
+    for (search, (grid, noise)), name in product(SEARCHES.items(), numbers):
+        ends = [hz for _, hz in numbers[name]]
+        hertz = np.linspace(0.88 * min(ends), 1.04 * max(ends), 41)  # crossings lie up to a tenth above f_bw
+        for variant, design in designs_of(name, large).items():
+            peaks, bandwidths = peaks_and_bandwidths(design, noise and noise(), grid, hertz)
+            for (number, hz), (written, off) in product(numbers[name], WRITTEN.items()):
+                at = [np.interp(hz + np.array(off), each, hertz) for each in bandwidths]
+                found[search, written, number, variant] = np.interp(at, hertz, peaks)
     return found
 
 
-def _largest_peak(loops: Sequence[Loop], design: Design, hz: float, refined: bool) -> float:
-    """Largest limited peak of a design at one f_bw, over its loops: refined, or the largest on their grids."""
-    controller = controllers(design)(hz)
-    if refined:
-        return max(peak.magnitude for peak in highest_peaks(loops, controller, design.constraints).values())
-    responses = [getattr(each.at(controller), name) for each in loops for name in design.constraints]
-    return float(np.abs(responses).max())
+def count_combinations(printed: Sequence[tuple[str, float]], windows: Mapping, large: float) -> pd.DataFrame:
+    """How many printed numbers one limit gives at most, a row for each combination of choices.
+
+    Parameters
+    ----------
+    printed, windows, large
+        As `limit_windows` takes and gives them.
+
+    Returns
+    -------
+    DataFrame
+        What the bandwidth means and at which mass, search, way of writing, variants other than `AS_PRINTED` by their printed
+        hertz, `count`, the ends of the limit, and the numbers (`gives`).
+    """
+    kinds = [list(designs_of(name, large)) for name, _ in printed]
+    rows = []
+    for search, written, variants in product(SEARCHES, WRITTEN, product(*kinds)):
+        each = np.array([windows[search, written, *number] for number in enumerate(variants)])
+        others = {hz: v for (_, hz), v in zip(printed, variants, strict=True) if v != AS_PRINTED}
+        for (loop, mass), ends in zip(MEANT, np.clip(each, *SIX_DB_WRITTEN).swapaxes(0, 1), strict=True):
+            count, low, high = most_at_once(ends)
+            gives = [hz for (_, hz), (a, b) in zip(printed, ends, strict=True) if a <= low < b]
+            rows.append((loop, mass, search, written, others, count, low, high, gives))
+    return pd.DataFrame(
+        rows, columns=["means", "mass", "search", "written", "variants", "count", "from", "to", "gives"]
+    )
 
 
 def most_at_once(windows: ArrayLike) -> tuple[int, float, float]:
-    """How many windows (numbers, 2) meet at most, and between which ends."""
+    """How many windows (numbers, 2) meet at most, and between which ends; empty ones meet none."""
     windows = np.asarray(windows, float)
     inside = (windows[:, :1] <= windows[:, 0]) & (
         windows[:, 0] < windows[:, 1:]
-    )  # whether each holds another's low end
+    )  # each holds another's low end
     low = int(inside.sum(axis=0).argmax())
     met = windows[inside[:, low]]
-    return len(met), float(met[:, 0].max()), float(met[:, 1].min())
+    return len(met), float(met[:, 0].max(initial=0.0)), float(met[:, 1].min(initial=np.inf))
+
+
+AXES = {  # what is left as printed, by which printed hertz may have another variant
+    "as printed": (),
+    "72, 73 with or without noise model": (72.0, 73.0),
+    "83 with the third constraint": (83.0,),
+    "both": (72.0, 73.0, 83.0),
+}
+
+
+def most_table(combinations: pd.DataFrame) -> pd.DataFrame:
+    """The largest count by what the bandwidth means (rows), by way of writing and by what is varied (columns)."""
+    free = {
+        axis: combinations["variants"].map(lambda v, on=on: set(v) <= set(on)) for axis, on in AXES.items()
+    }
+    return pd.DataFrame(
+        {
+            (written, axis): combinations[rows & (combinations["written"] == written)]
+            .groupby("means", sort=False)["count"]
+            .max()
+            for written in WRITTEN
+            for axis, rows in free.items()
+        }
+    ).rename_axis("bandwidth")
+
+
+def best_as(combinations: pd.DataFrame, means: str) -> pd.Series:
+    """The combination with the largest count, by what the bandwidth means; of several the first."""
+    rows = combinations[combinations["means"] == means]
+    return rows.loc[rows["count"].idxmax()]
+
+
+def names_of(combinations: pd.DataFrame) -> str:
+    """Which crossings are meant, each with its masses."""
+    masses = combinations[combinations["mass"] > 0].groupby("means", sort=False)["mass"].unique()
+    return " and ".join(
+        f"crossings of `{loop}` at mass {' and '.join(map(str, sorted(each)))}"
+        for loop, each in masses.items()
+    )
 
 
 def paint_windows(printed: Sequence[tuple[str, float]], windows: Mapping[str, np.ndarray]):
@@ -283,12 +400,6 @@ BANDWIDTHS = {  # entries of Table 3.5 and of the text, in the order of the publ
     "ad": "AD",
     "mc-and-ad": "MC and AD",
 }
-OPEN_LOOPS = {  # which of them Definition 1.2.1 means
-    "P_eq C_fb": lambda at: at.loop,
-    "P C_eq": lambda at: at.output_loop,
-    "P C_fb": lambda at: at.plant * at.controller,
-}
-
 
 LOOPS = (*OPEN_LOOPS, "f_bw")
 WAYS = [(six, compensation) for six in SIX for compensation in COMPENSATIONS]  # the defaults first
@@ -363,6 +474,7 @@ def appendix(
     page,
     *,
     studies: Mapping[str, OpenChoices],
+    position: int,
     published: Mapping[str, float],
     gains: Mapping[str, np.ndarray],
     row: pd.Series,
@@ -370,9 +482,9 @@ def appendix(
 ) -> None:
     """What the notebook judges beside its answer: one combination for all, what the table depends on, the third constraint."""
     _of_one_combination(page, studies, published)
-    _of_the_choices(page, studies)
+    _of_the_choices(page, studies, position)
     again = studies["MC, two constraints"]
-    page.check("motion.bandwidth.mc-two-constraints-again", again.crossing, again.interval)
+    page.check("motion.bandwidth.mc-two-constraints-again", again.crossing(position), again.interval)
     page.show("AD over PID, all choices and masses:", f"{gains['AD'].min():.2f} to {gains['AD'].max():.2f}")
     page.check("motion.bandwidth.doubled-by-ad", np.mean(gains["AD"] > 2))
     _of_the_third_constraint(page, row, third)
@@ -425,14 +537,14 @@ def distances(published: Mapping[str, float]) -> np.ndarray:
     )
 
 
-def _of_the_choices(page, studies: Mapping[str, OpenChoices]) -> None:
-    page.text("""## What the table depends on
+def _of_the_choices(page, studies: Mapping[str, OpenChoices], position: int) -> None:
+    page.text(f"""## What the table depends on
 
-First crossing (Hz, mass 5) with one choice changed. Only the damping of Table 3.4, 0.5 %, brings the PID limit near 37 Hz. A
+First crossing (Hz, mass {position}) with one choice changed. Only the damping of Table 3.4, 0.5 %, brings the PID limit near 37 Hz. A
 logarithmic grid of 2000 points misses the resonance at 470 Hz.""")
     crossings = {
         choice: {
-            name: study.found[choice].crossing_hz[4] if choice in study.found else np.nan
+            name: study.found[choice].crossing_hz[position - 1] if choice in study.found else np.nan
             for name, study in studies.items()
         }
         for choice in CHOICES
