@@ -16,7 +16,7 @@ from experiments.fixedpoint.published import KALMAN, LITERAL, LOW_PASS, WINDOW, 
 from experiments.fixedpoint.statements import LOW_PASS_BEST, NOISIEST, SMOOTHEST, WINDOW_PRECISE, statements
 from stillwork.control.controlled_run import ControlledRun
 from stillwork.control.fixed_point import Controller, simulate
-from stillwork.control.trajectory import Trajectory, asin_trajectory
+from stillwork.control.trajectory import asin_trajectory
 from stillwork.control.transformation import FlowTransformation
 from stillwork.estimation.coordinate_filters import MovingWindow, UnscentedKalman
 from workbook import figures
@@ -287,17 +287,6 @@ def rankings(small: list[dict[str, Study]], large: list[dict[str, Study]]) -> di
     }
 
 
-def changed(before: dict[str, Study], after: dict[str, Study], kalman: str) -> str:
-    """Statements whose fraction differs between two readings of the paper, as text; ``none`` without any."""
-    old, new = statements(before, kalman), statements(after, kalman)
-    moved = [
-        f"{name} {old[name].mean():.2g} -> {new[name].mean():.2g}"
-        for name in old
-        if old[name].mean() != new[name].mean()
-    ]
-    return "; ".join(moved) or "none"
-
-
 @dataclass(frozen=True)
 class StatementTable:
     """Fraction of runs that obey each statement, a row per case and statement; prints as text."""
@@ -339,36 +328,8 @@ def longest_replaced(gaps: list[float], studies: list[dict[str, Study]], kalman:
 # === What the notebook judges beside its answer =====================================================================
 
 
-def appendix(
-    page,
-    *,
-    studies: dict[str, dict[str, Study]],
-    controllers: dict[str, Controller],
-    trajectory: Trajectory,
-    runs: int,
-    seed: int,
-    lost: dict[str, list[dict[str, Study]]],
-    lost_ms: list[float],
-    singles: dict[float, dict[str, Study]],
-) -> None:
-    """What this notebook judges beside its answer.
-
-    Parameters
-    ----------
-    page : workbook.appendix.Appendix
-    studies : dict
-        By noise and controller.
-    controllers : dict of Controller
-        The paper's.
-    trajectory : Trajectory
-    runs, seed : int
-        Of the open choices tried here.
-    lost : dict
-        Studies over the lengths `lost_ms`, by what stands for a lost sample.
-    lost_ms : list of float
-    singles : dict
-        Studies by the percentage of samples lost at random.
-    """
+def appendix(page, *, studies: dict[str, dict[str, Study]]) -> None:
+    """What this notebook judges beside its answer; `studies` by noise and controller."""
     page.text("""## The rankings, case by case
 
 Share of records in which each statement holds, with Wilson's 95 % interval.""")
@@ -382,95 +343,3 @@ Share of records in which each statement holds, with Wilson's 95 % interval.""")
     smooth = said.in_both_forms(studies["small Gaussian"], SMOOTHEST, noisy_by="velocity_roughness").mean()
     page.show(f"small Gaussian: low pass smoothest in {smooth:.2f} of them, so the rest is the window")
     page.check("fixedpoint.fig-6.noisy-by-velocity", noisiest["small Gaussian"])
-    _of_options(page, controllers, trajectory, runs, seed)
-    _of_losses(page, lost, lost_ms, singles)
-
-
-def options_tried(published: dict[str, Controller]) -> dict[str, tuple[dict[str, Controller], str, dict]]:
-    """Controllers, kind of noise and options of the loop, by what is read otherwise."""
-    thin = replace(load_oscillator()["approximate"], damping=0.0, drag=0.0).plant
-    thin_model = {
-        name: replace(published[name], signal_filter=UnscentedKalman(thin, literal=name == LITERAL))
-        for name in (KALMAN, LITERAL)
-    }
-    return {
-        "as above": (published, "logistic", {}),
-        "amplitude is the scale": (published, "logistic-scale", {}),
-        "explicit order": (published, "logistic", {"integration": "explicit"}),
-        "(10) without b2 and d": (published | thin_model, "logistic", {}),
-        "force at the filtered q": (published, "logistic", {"force_from_estimate": True}),
-        "error from the measured q": (controllers("measured", "(11)", 13), "logistic", {}),
-        "acceleration of the model": (controllers("estimate", "(11)", 13, "model"), "logistic", {}),
-    }
-
-
-def _of_options(page, published: dict[str, Controller], trajectory: Trajectory, runs: int, seed: int) -> None:
-    page.text("""## Six other options
-
-The logistic amplitude may be the scale of the distribution. Equation (10) as printed lacks $b_2$ and $d$. Section I takes the error
-from the measured $q$. With its model's acceleration the Kalman filter gives the iteration no response of the plant, so nothing
-adapts. RMS errors of $q$ in mm and of $\\dot q$ in mm/s, roughness in m/s², means over records of logistic noise:""")
-    exact = load_oscillator()["exact"].plant
-    found = {
-        size: {
-            option: compare(exact, who, trajectory, Noise(kind, amplitude), runs=runs, seed=seed, **options)
-            for option, (who, kind, options) in options_tried(published).items()
-        }
-        for size, amplitude in PRINTED_NOISE.items()
-    }
-    for size, by_option in found.items():
-        for option, study in by_option.items():
-            page.show(f"{size} noise, {option}")
-            for name, judged in study.items():
-                q, velocity = (1e3 * judged[quantity].mean() for quantity in ("position", "velocity"))
-                rough = judged["roughness"].mean()
-                page.show(f"  {name:22s} q {q:.3f}, q' {velocity:.2f}, roughness {rough:.3f}")
-            page.show(f"  changed: {changed(by_option['as above'], study, LITERAL)}")
-    forced, measured = (
-        [],
-        [],
-    )  # relative changes of the errors; the printed Kalman filter's over the best other
-    for by_option in found.values():
-        other, before = by_option["force at the filtered q"], by_option["as above"]
-        forced += [
-            abs(other[n][e].mean() / before[n][e].mean() - 1)
-            for n in before
-            for e in ("position", "velocity")
-        ]
-        q = {name: each["position"].mean() for name, each in by_option["error from the measured q"].items()}
-        measured.append(q[LITERAL] / min(q[WINDOW], q[LOW_PASS]))
-    page.check("fixedpoint.fig-1.force-from-filtered", max(forced))
-    page.check("fixedpoint.fig-1.error-from-measured", max(measured))
-    small, large = (by_option["acceleration of the model"] for by_option in found.values())
-    rough = small[KALMAN]["roughness"].mean() / small[WINDOW]["roughness"].mean()
-    speed = large[KALMAN]["velocity"].mean() / large[LOW_PASS]["velocity"].mean()
-    page.check("fixedpoint.kalman-acceleration.roughness", rough)
-    page.check("fixedpoint.kalman-acceleration.velocity", speed)
-    page.conclude(
-        "Two options reverse rankings: with the error from the measured coordinate the printed Kalman filter has {measured:.2f} of the "
-        "error of $q$ of window and low pass; with its model's acceleration it is {rough:.2f} times as rough as the window in small noise "
-        "and has {speed:.2f} of the low pass's error of $\\dot q$ in large noise.",
-        "With the error from the measured coordinate the printed Kalman filter has {measured:.2f} of the error of $q$ of window and low "
-        "pass; with its model's acceleration {rough:.2f} of the window's roughness and {speed:.2f} of the low pass's error of $\\dot q$.",
-        when=max(max(measured), rough, speed) < 1,
-        measured=max(measured),
-        rough=rough,
-        speed=speed,
-    )
-
-
-def _of_losses(page, lost: dict, lost_ms: list[float], singles: dict[float, dict[str, Study]]) -> None:
-    page.text("## Lost signals\n\nRMS error of $q$ in mm:")
-    for how, swept in lost.items():
-        for gap, study in zip(lost_ms, swept, strict=True):
-            errors = {name: 1e3 * each["position"].mean() for name, each in study.items()}
-            each = (
-                f"{name} {error:.2f}" if np.isfinite(error) else f"{name} diverges"
-                for name, error in errors.items()
-            )
-            page.show(f"{how} {gap:g} ms: {', '.join(each)}")
-    diverged = np.mean(~np.isfinite(lost["predict"][-1][LOW_PASS]["position"]))
-    page.show(f"at {lost_ms[-1]:g} ms the low pass diverges in {diverged:.2f} of the records")
-    for percent, study in singles.items():
-        each = ", ".join(f"{name} {1e3 * judged['position'].mean():.3f}" for name, judged in study.items())
-        page.show(f"single losses, {percent:g} %: {each}")

@@ -572,14 +572,8 @@ def appendix(
     page,
     *,
     setup: Setup,
-    tuned: dict[str, dict[str, Tuned]],
     studies: dict[str, dict[str, Study]],
     settings: dict[str, Study],
-    searches: list[dict[str, Controller]],
-    sharper: Trajectory,
-    means: dict[str, np.ndarray],
-    by_kind: dict[str, np.ndarray],
-    stiffness: list[float],
 ) -> None:
     """What this notebook judges beside its answer.
 
@@ -587,77 +581,14 @@ def appendix(
     ----------
     page : workbook.appendix.Appendix
     setup : Setup
-    tuned, studies : dict
-        By case: what the searches found, and the errors on fresh noise.
+    studies : dict
+        By case: the errors on fresh noise.
     settings : dict of Study
         Of `exchanged_settings`.
-    searches : list of dict
-        By seed, the controllers tuned for q'.
-    sharper : Trajectory
-    means, by_kind : dict
-        Errors of q' over stiffness by filter, and of the unscented filter over the best without a model by kind.
-    stiffness : list of float
-        N/m.
     """
-    _of_searches(page, tuned, studies)
-    _of_model_errors(page, means, by_kind, stiffness)
-    _of_motions(page, searches[0], setup)
     _of_covariances(page, settings, setup)
-    _of_kalman_filters(page, searches, tuned, setup)
     _of_sigma_points(page, setup)
-    _of_corners(page, searches[0], sharper, setup)
     _of_cost(page, studies["Gaussian noise, tuned for q'"])
-
-
-def _of_searches(page, tuned: dict[str, dict[str, Tuned]], studies: dict[str, dict[str, Study]]) -> None:
-    page.text("""## What the searches found
-
-Settings, and errors on fresh noise with 95 % intervals. The roughness is the RMS change of the true acceleration in a sample.""")
-    for case, found in tuned.items():
-        page.show(case)
-        for name, best in found.items():
-            numbers = ", ".join(f"{knob} {value:.3g}" for knob, value in best.settings.items())
-            edge = f"; at the edge: {', '.join(best.at_edge)}" if best.at_edge else ""
-            judged = studies[case][name]
-            low, high = 1e3 * np.array(mean_interval(judged["velocity"]))
-            page.show(
-                f"{name}: {numbers}; {best.diverged} of {best.evaluations} diverged{edge}",
-                f"  q' {1e3 * judged['velocity'].mean():.2f} mm/s ({low:.2f} to {high:.2f}), q {1e3 * judged['position'].mean():.3f} mm, "
-                f"roughness {judged['roughness'].mean():.3f} m/s^2",
-            )
-
-
-def _of_model_errors(page, means, by_kind, stiffness: list[float]) -> None:
-    page.text("## How wrong the model is\n\nErrors of $\\dot q$ in mm/s over the stiffness in N/m:")
-    for name, each in means.items():
-        line = (f"{k:g}: {1e3 * v:.2f}" for k, v in zip(stiffness, each.mean(axis=0), strict=True))
-        page.show(f"{name:22s} {', '.join(line)}")
-    page.text("The unscented filter over the best stable filter without a model, over three searches:")
-    for kind, each in by_kind.items():
-        ends = zip(SIZES[kind], each.min(axis=0), each.max(axis=0), strict=True)
-        page.show(f"{kind}: " + ", ".join(f"{size:.3g}: {low:.2f} to {high:.2f}" for size, low, high in ends))
-
-
-def _of_motions(page, controllers: dict[str, Controller], setup: Setup) -> None:
-    page.text("""## Other motions
-
-Motion and noise decide how much a wrong stiffness harms. The filters of the first search, not tuned anew, on Table I's plant and
-on one with 5/3 of the model's stiffness; errors of $\\dot q$ in mm/s:""")
-    sample_time, noise = setup.trajectory.sample_time, setup.gaussian.amplitude
-    timing = {"duration": sample_time * (len(setup.trajectory.position) - 1), "sample_time": sample_time}
-    others = {
-        "as above": (setup.trajectory, setup.gaussian),
-        "0.3 m": (asin_trajectory(0.3, **timing), setup.gaussian),
-        "2 m": (asin_trajectory(2.0, **timing), setup.gaussian),
-        "0.1 Hz": (asin_trajectory(frequency_hz=0.1, **timing), setup.gaussian),
-        "noise / 10": (setup.trajectory, Noise("gaussian", noise / 10)),
-        "noise x 3": (setup.trajectory, Noise("gaussian", 3 * noise)),
-    }
-    for case, (motion, kind) in others.items():
-        for k in (TUNED_AT, 250.0):
-            judged = compare(plant_of(k), controllers, motion, kind, runs=4, seed=setup.seed)
-            line = ", ".join(f"{name} {1e3 * each['velocity'].mean():.2f}" for name, each in judged.items())
-            page.show(f"{case}, {k:g} N/m: {line}")
 
 
 FACTORS = (1.0, 1e-1, 1e-2, 1e-3, 1e-9)  # of Q and R; the last stands for none, which no filter can have
@@ -697,32 +628,6 @@ fractions of the printed ones; $10^{-9}$ stands for zero:""")
     )
 
 
-def _of_kalman_filters(page, searches, tuned, setup: Setup) -> None:
-    page.text("""## The two Kalman filters
-
-By training seed, with the 95 % interval of the ratio over fresh records:""")
-    exact, kalmans = load_oscillator()["exact"].plant, {name: families()[name] for name in (KALMAN, EXTENDED)}
-    for case, noise in (("gaussian", setup.gaussian), ("encoder", setup.encoder)):
-        ratios = []
-        for number, other in enumerate(setup.seeds):
-            if case == "gaussian":
-                who = {name: searches[number][name] for name in kalmans}
-            elif number == 0:
-                who = {name: tuned["quantising encoder, tuned for q'"][name].controller for name in kalmans}
-            else:
-                who = {
-                    name: setup.search(family, noise, other)[0].controller for name, family in kalmans.items()
-                }
-            pair = compare(exact, who, setup.trajectory, noise, runs=setup.runs, seed=setup.seed)
-            over = pair[EXTENDED]["velocity"] / pair[KALMAN]["velocity"]
-            low, high = mean_interval(over)
-            ratios.append(over.mean())
-            page.show(
-                f"{case}, training seed {other}: extended over unscented {over.mean():.3f} ({low:.3f} to {high:.3f})"
-            )
-        page.check(f"fixedpoint.section-2c.extended-{case}", np.median(ratios), (min(ratios), max(ratios)))
-
-
 def _of_sigma_points(page, setup: Setup) -> None:
     page.text("""## Sigma points or Jacobian?
 
@@ -749,22 +654,6 @@ $\\beta = 0.001$ where a Gaussian state needs 2.""")
             f"{kind}: median error over the spread, sigma points {sizes[0]:.1e}, Jacobian {sizes[1]:.1e}"
         )
     page.check("fixedpoint.section-2c.mean-error", np.median(predicted["extended_mean"]))
-
-
-def _of_corners(page, controllers: dict[str, Controller], sharper: Trajectory, setup: Setup) -> None:
-    page.text("""## Sharper corners
-
-The same settings, tuned on corners of $k = 0.98$, run on $k = 0.999$, where the largest acceleration,
-$k / (\\arcsin k\\,\\sqrt{1 - k^2})$ times that of a sine, is 15 instead of 3.6:""")
-    exact = load_oscillator()["exact"].plant
-    found = compare(exact, controllers, sharper, setup.gaussian, runs=setup.runs, seed=setup.seed)
-    for name, judged in found.items():
-        q, speed = (1e3 * judged[quantity].mean() for quantity in ("position", "velocity"))
-        page.show(f"{name:22s} q' {speed:.1f} mm/s, q {q:.3f} mm")
-    error = {name: judged["velocity"].mean() for name, judged in found.items()}
-    best_of_others = min(error[name] for name in WITHOUT_MODEL)
-    page.check("fixedpoint.section-4.sharper-corners.kalman", error[KALMAN] / best_of_others)
-    page.check("fixedpoint.section-4.sharper-corners.extended", error[EXTENDED] / best_of_others)
 
 
 def _of_cost(page, study: dict[str, Study]) -> None:

@@ -6,16 +6,12 @@ from dataclasses import replace
 import numpy as np
 
 from experiments.fixedpoint.axes import COLOURS, legend_above
-from experiments.fixedpoint.convergence_study import at_rest, remaining_motion
-from experiments.fixedpoint.metrics import noisy_run
-from experiments.fixedpoint.noise import Noise
+from experiments.fixedpoint.convergence_study import at_rest
 from experiments.fixedpoint.oscillator import load_oscillator, restoring_force
 from experiments.fixedpoint.published import (
     INTEGRATION,
-    KALMAN,
     LITERAL,
     LOW_PASS,
-    WINDOW,
     published_controllers,
 )
 from stillwork.control.fixed_point import Controller, simulate
@@ -25,14 +21,13 @@ from stillwork.control.fixed_point_convergence import (
     describing_function,
     iterate,
     limit_cycles,
-    random_gain,
     stable_range,
     strongest_oscillation,
 )
 from stillwork.control.fixed_point_linear import LinearFilter, LinearLoop, linear_loop
 from stillwork.control.kinematics import KinematicDesign
 from stillwork.control.trajectory import asin_trajectory
-from stillwork.control.transformation import FlowTransformation, RobustTransformation, Transformation
+from stillwork.control.transformation import FlowTransformation, Transformation
 from stillwork.estimation.coordinate_filters import MovingWindow
 from stillwork.estimation.plant import Plant
 from workbook import figures
@@ -59,33 +54,6 @@ def cycles_over_gain(
         found = strongest_oscillation(run.acceleration_estimate[tail] - run.desired[tail], sample_time)
         simulated.append((found.frequency_hz, found.amplitude))
     return predicted, simulated
-
-
-def divergence_by_noise(
-    plant: Plant,
-    controller: Controller,
-    deviations: Sequence[float] | np.ndarray,
-    runs: int,
-    seed: int,
-    sample_time: float = 1e-3,
-) -> list[float]:
-    """Fraction of runs of 12 s at rest that diverge, for each standard deviation of Gaussian noise."""
-    still, streams = at_rest(round(12 / sample_time), sample_time), np.random.SeedSequence(seed).spawn(runs)
-
-    def diverges(stream, deviation) -> bool:
-        noise = Noise("gaussian", deviation)
-        return noisy_run(plant, controller, still, noise, stream).diverged_at is not None
-
-    return [sum(diverges(stream, deviation) for stream in streams) / runs for deviation in deviations]
-
-
-def response_noise(
-    plant: Plant, controller: Controller, deviation: float, seed: int, sample_time: float = 1e-3
-) -> float:
-    """Standard deviation of response - desired at rest in Gaussian noise, m/s^2; 5 s after the first."""
-    still = at_rest(round(6 / sample_time), sample_time)
-    run = noisy_run(plant, controller, still, Noise("gaussian", deviation), seed)
-    return float(np.std((run.acceleration_estimate - run.desired)[round(1 / sample_time) :]))
 
 
 SMALL = {"textcoords": "offset points", "fontsize": 7}  # words beside a mark
@@ -217,22 +185,6 @@ def paint_limit_cycle_sweep(gains, predicted, simulated):
     return figure
 
 
-def paint_noise_gain(deviations, remaining, weakest: float, marks: dict[str, float]):
-    """What noise in the response leaves of transformation (6)'s gain, and the least that the loop needs."""
-    figure, axes = figures.new(1, height=3.0)
-    axes.loglog(deviations, remaining, color=figures.BLUE, label="mean gain that noise leaves")
-    axes.axhline(weakest, color=figures.RED, linestyle="--")
-    needed = "the Kalman loop needs at least this"
-    axes.text(deviations[0], weakest * 1.08, needed, fontsize=8, color=figures.RED)
-    for (name, place), line in zip(marks.items(), (":", "-."), strict=False):
-        axes.axvline(place, color=figures.BLACK, linestyle=line, linewidth=1)
-        axes.text(place * 1.06, remaining.max(), name, rotation=90, ha="left", va="top", fontsize=8)
-    axes.set(xlabel="standard deviation of response − desired (m/s²)")
-    axes.set(ylabel="strength of transformation (6), −g")
-    axes.legend(handles=axes.lines[:1], loc="lower left")
-    return figure
-
-
 def paint_limit_cycle(gain: float, window_length: int, exponent: float):
     """Where the window's loop and transformation (6) balance."""
     exact, approximate = (model.plant for model in load_oscillator().values())
@@ -257,58 +209,8 @@ def paint_limit_cycle(gain: float, window_length: int, exponent: float):
 # === What the notebook judges beside its answer =====================================================================
 
 
-def appendix(
-    page,
-    *,
-    controllers: dict[str, Controller],
-    cycles: list[LimitCycle],
-    kept: dict[str, float],
-    flow: FlowTransformation,
-    robust: RobustTransformation,
-    noise_sweep_m: list[float],
-    runs: int,
-    seed: int,
-    sample_time: float,
-) -> None:
-    """What this notebook judges beside its answer.
-
-    Parameters
-    ----------
-    page : workbook.appendix.Appendix
-    controllers : dict of Controller
-    cycles : list of LimitCycle
-        Of the window's loop.
-    kept : dict of float
-        What a kick leaves with (6), by filter.
-    flow, robust : Transformation
-        (6) and (8) as printed.
-    noise_sweep_m : list of float
-    runs, seed : int
-    sample_time : float
-    """
-    exact, approximate = (model.plant for model in load_oscillator().values())
-    _of_slow_parameters(page, sample_time)
-    right = replace(controllers[WINDOW], transformation=robust)
-    edges = [
-        stable_range(linear_loop(plant, right, sample_time, integration=INTEGRATION)).limits[1]
-        for plant in (exact, approximate)
-    ]
-    page.text("""## The weak edge
-
-The wrong model is not the reason: a right one makes the weak edges a third stronger, as $f'$ is 1 instead of 4/3.""")
-    page.show(f"weak edge with the window: {edges[0]:.4f}, with a right model {edges[1]:.4f}")
-    _of_cycles(page, exact, controllers[WINDOW], cycles, flow, sample_time)
-    page.text(
-        "## A property of the iteration?\n\nWith (6) in every loop, a kick of 1 mm/s leaves after seven seconds, in units of the kick:"
-    )
-    page.show(*(f"{name:22s} {f'{left:.2g}' if left > 1e-3 else 'nothing'}" for name, left in kept.items()))
-    heavier = replace(load_oscillator()["exact"], mass=load_oscillator()["approximate"].mass).plant
-    left = remaining_motion(heavier, replace(controllers[LOW_PASS], transformation=flow), 1e-3, sample_time)
-    page.show(f"low pass, the plant with the model's mass: {left:.2g}")
-    _of_noise(page, exact, controllers, flow, robust, noise_sweep_m, runs, seed, sample_time)
-
-
-def _of_slow_parameters(page, sample_time: float) -> None:
+def appendix(page, *, sample_time: float) -> None:
+    """What this notebook judges beside its answer."""
     page.text("""## "Slow parameters", (3)
 
 The paper takes $q$ and $\\dot q$ as slow parameters of the response, because the command can jump and they cannot. Without noise, after
@@ -355,73 +257,3 @@ def fixed_point_motion(frequency_hz: float, sample_time: float) -> tuple[float, 
     part = slice(round(2 / sample_time), None)
     apart = (run.deformed - state - desired)[part]
     return float(np.diff(state[part]).std()), float(np.diff(desired[part]).std()), float(apart.std())
-
-
-def _of_cycles(
-    page, exact: Plant, controller: Controller, cycles, flow: FlowTransformation, sample_time: float
-) -> None:
-    page.text("## The cycles, predicted and simulated")
-    for cycle in cycles:
-        kind = "stable" if cycle.stable else "unstable"
-        page.show(
-            f"predicted {kind} cycle: {cycle.frequency_hz:.2f} Hz, {cycle.iteration_error:.2f} m/s^2, velocity {cycle.velocity:.3f} m/s"
-        )
-    still, motion = at_rest(round(8 / sample_time), sample_time), asin_trajectory(sample_time=sample_time)
-    rest = simulate(exact, controller, still, start=(0.0, 1e-3), integration=INTEGRATION)
-    moving = simulate(exact, controller, motion, integration=INTEGRATION)
-    for name, run, after in (("at rest", rest, 4), ("in motion", moving, 2)):
-        tail = slice(round(after / sample_time), None)
-        seen = strongest_oscillation(run.acceleration_estimate[tail] - run.desired[tail], sample_time)
-        page.show(f"simulated {name}: {seen.frequency_hz:.2f} Hz, {seen.amplitude:.2f} m/s^2")
-    kicks = np.arange(0.05, 1.2, 0.05).tolist()
-    runs = (simulate(exact, controller, still, start=(0.0, kick), integration=INTEGRATION) for kick in kicks)
-    lost = [kick for kick, run in zip(kicks, runs, strict=True) if run.diverged_at is not None]
-    for held in limit_cycles(linear_loop(exact, controller, sample_time), flow):
-        if held.stable:
-            page.show(
-                f"with the force held and the plant moved exactly: {held.frequency_hz:.2f} Hz, {held.iteration_error:.2f} m/s^2"
-            )
-    unstable = [cycle.velocity for cycle in cycles if not cycle.stable]
-    page.conclude(
-        "The unstable cycle is a poor border of divergence: its velocity is {velocity:.2f} m/s, and a kick of {kick:.2f} m/s is enough.",
-        "No border of divergence is met by kicks of up to {most:.2f} m/s.",
-        when=bool(unstable and lost),
-        velocity=min(unstable, default=np.nan),
-        kick=min(lost, default=np.nan),
-        most=kicks[-1],
-    )
-
-
-def _of_noise(
-    page, exact: Plant, controllers, flow, robust, noise_sweep_m, runs: int, seed: int, sample_time: float
-) -> None:
-    page.text("""## When (6) diverges with the Kalman filter
-
-The paper does not say which transformation goes with the Kalman filter. The linear loop with (6) is stable. But noise moves this
-filter's acceleration by far more than $w = 3\\,\\mathrm{m/s^2}$, and the sigmoid's mean slope falls below the weak edge. The vertical
-lines mark the standard deviation of response minus desired in the stable loop with (8), at the paper's two noises.""")
-    kalman = replace(controllers[KALMAN], transformation=flow)
-    weakest = -stable_range(linear_loop(exact, kalman, sample_time, integration=INTEGRATION)).limits[1]
-    deviations = np.geomspace(0.5, 1000, 60)
-    remaining = np.array([-flow.local_gain * random_gain(d / flow.width) for d in deviations])
-    marks = {
-        f"noise {1e3 * s:g} mm": response_noise(exact, controllers[KALMAN], s, seed, sample_time)
-        for s in (1e-5, 1e-4)
-    }
-    page.save("noise-gain", paint_noise_gain(deviations, remaining, weakest, marks))
-    trajectory = asin_trajectory(sample_time=sample_time)
-    with_eight = simulate(
-        exact, replace(controllers[WINDOW], transformation=robust), trajectory, integration=INTEGRATION
-    )
-    if with_eight.diverged_at is not None:
-        page.show(
-            f"window with (8), no noise: diverged at {with_eight.diverged_at:.2f} s, {with_eight.cause}"
-        )
-    fractions = [
-        divergence_by_noise(exact, loop, noise_sweep_m, runs, seed, sample_time)
-        for loop in (kalman, controllers[KALMAN])
-    ]
-    for deviation, six, eight in zip(noise_sweep_m, *fractions, strict=True):
-        page.show(
-            f"noise {deviation:.0e} m: Kalman loop diverges in {six:.0%} of the runs with (6), {eight:.0%} with (8)"
-        )

@@ -11,15 +11,13 @@ from numpy.typing import ArrayLike
 from scipy import signal, stats
 
 from experiments.isolation.convergence import ALGORITHMS, FINAL_SHARE, SHARE, STYLES
-from experiments.isolation.floors import FLAT_LEVEL, ShapedFloor, flat_floor
-from experiments.isolation.mean_convergence import Sideways, mean_course
-from experiments.isolation.responses import responses
+from experiments.isolation.floors import ShapedFloor, flat_floor
+from experiments.isolation.mean_convergence import mean_course
 from experiments.isolation.shared_runs import study_each
 from experiments.isolation.simulation import TOGETHER, sample_seeds, simulate, simulate_together
 from experiments.isolation.steady import FORGETTING, steady_state
 from experiments.isolation.twin import Twin, load_twin
-from stillwork.base.checks import InputError, require_array, require_number
-from stillwork.base.rounding import in_order
+from stillwork.base.checks import require_array, require_number
 from stillwork.estimation.adaptive import FeLms, FeRls
 from stillwork.estimation.mean_adaptation import Steady
 from workbook import figures
@@ -140,47 +138,6 @@ def try_starts(
         peaks.append(np.abs(run.command).max())
         stops.append(np.nan if run.broke_s is None else run.broke_s)
     return Starts(epsilons, np.array(peaks), np.array(stops))
-
-
-def narrow_floor(twin: Twin, low_hz: float, high_hz: float) -> ShapedFloor:
-    """Floor confined to a band, second-order Butterworth, m/s^2/sqrt(Hz) inside; sensors independent."""
-    rate = twin.instruments.sample_rate
-    sections = signal.butter(2, [low_hz, high_hz], "bandpass", fs=rate, output="sos")
-    return ShapedFloor(
-        np.repeat(sections[None], twin.sensors, axis=0),
-        np.full(twin.sensors, FLAT_LEVEL * np.sqrt(rate / 2)),
-        rate,
-    )
-
-
-def follow_sideways(
-    twin: Twin, floor: ShapedFloor, duration_s: float, memory_s: float, seed: int
-) -> Sideways:
-    """Run FeRLS without noise from the optimum plus a sideways error of the weights."""
-    if twin.rig is None:
-        raise InputError("the model has no geometry, so no sideways motion; take one with a body and struts")
-    forgetting = float(np.exp(-twin.sample_time / memory_s))
-    steady = steady_state(twin, floor, noise=False, forgetting=forgetting)
-    pattern = twin.rig.actuators.jacobian[:, 0]
-    pattern = pattern / np.linalg.norm(pattern)
-    error = 1e-3 * np.outer(pattern, np.ones(twin.regressors))
-    adaptation = FeRls(steady.covariance, forgetting, growth_limit=np.inf)
-    settings = {"adaptation": adaptation, "weights": steady.weights + error, "noise": False, "seed": seed}
-    run = simulate(twin, floor, duration_s, **settings)
-    values, vectors = np.linalg.eig(steady.rls_update)
-    modes = np.linalg.solve(vectors, error.ravel().astype(complex))
-    mean = (vectors @ (np.exp(-np.outer(values, run.time_s) / memory_s) * modes[:, None])).real.T
-
-    def size(off):
-        along = np.einsum("a,kar->kr", pattern, off)
-        return np.sqrt(np.einsum("ki,ij,kj->k", along, steady.correlation, along))
-
-    return Sideways(
-        run.time_s,
-        size(run.weights - steady.weights),
-        size(mean.reshape(-1, *error.shape)),
-        float(steady.rls_eigenvalues.real.min()),
-    )
 
 
 def convergence_trial(
@@ -326,25 +283,6 @@ def run_interval(study: Study, algorithm: str, quantity: str) -> tuple[np.ndarra
     return tuple(np.exp(each) for each in found) if quantity == "tau" else found
 
 
-def paint_choices(times: Mapping[str, np.ndarray]):
-    """Time constants of w4 to w9 on the mean course under other choices, with the published ones."""
-    figure, axes = figures.new(1, 2, height=3.4, sharey=True)
-    number = np.arange(4, 10)
-    looks = ((figures.BLUE, "o"), (figures.ORANGE, "s"), (figures.PURPLE, "^"))
-    for panel, algorithm in zip(axes, ALGORITHMS, strict=True):
-        mine = {name: each for name, each in times.items() if name.startswith(algorithm)}
-        for (name, each), (color, marker) in zip(mine.items(), looks, strict=True):
-            label = name.removeprefix(f"{algorithm}, ")
-            panel.plot(number, each[3:], marker, color=color, mfc="none", label=label)
-        figures.mark_published(panel, number, published_row(algorithm, "tau")[3:])
-        panel.set(title=algorithm, yscale="log")
-        panel.set_xticks(number, [f"w{i}" for i in number])
-        panel.legend(loc="upper left", fontsize=8)
-    axes[0].set_ylim(0.05, 1500)
-    figures.label(axes, "parameter", "time to stay within 63 % (s)")
-    return figure
-
-
 def paint_starts(starts: Starts, steady: ArrayLike):
     """Largest command in the first seconds against the start P(-1) = I / epsilon."""
     figure, axes = figures.new(1, 1, height=2.8)
@@ -355,43 +293,6 @@ def paint_starts(starts: Starts, steady: ArrayLike):
     figures.mark_published(axes, 1e5, starts.peak_command[~on].max() if (~on).any() else 1.0, **style)
     axes.axvspan(np.min(steady), np.max(steady), color=figures.GREEN, alpha=0.3, label="steady diagonal of P")
     axes.set(xlabel="initial covariance 1/ε ((m/s²)⁻²)", ylabel="largest command (N)")
-    axes.legend()
-    return figure
-
-
-def paint_path_error(twin: Twin, floor: ShapedFloor):
-    """Loci of P2hat^-1 P2 and the convergence rates on a floor, for the diagonal and the full estimate."""
-    figure, (left, right) = figures.new(1, 2, height=3.4)
-    f = np.geomspace(2, 300, 400)
-    for estimate, color, marker in (("diagonal", figures.BLUE, "o"), ("full", figures.ORANGE, "s")):
-        variant, style = twin.varied(estimate=estimate), {"color": color, "label": f"{estimate} estimate"}
-        loci = in_order(np.linalg.eigvals(responses(variant, f).path_error))
-        left.plot(loci.real.ravel(), loci.imag.ravel(), ".", ms=2, **style)
-        rates = in_order(steady_state(variant, floor, noise=False).rls_eigenvalues)
-        right.plot(rates.real, rates.imag, marker, ms=4, mfc="none", **style)
-    for axes in (left, right):
-        axes.axvline(0, color=figures.BLACK, lw=0.8)
-        axes.plot(1, 0, "+", markersize=9, color=figures.RED, label="perfect estimate")
-        axes.set_xlabel("real part")
-    left.set(title="eigenvalues of P̂₂⁻¹P₂, 2-300 Hz", ylabel="imaginary part")
-    right.set_title("convergence rates × memory")
-    figures.legend_below(right, 3)
-    return figure
-
-
-def paint_sideways(courses: Mapping[str, Sideways]):
-    """Size of a sideways weight error over time, simulated and as the mean update predicts it."""
-    from matplotlib.ticker import LogLocator
-
-    figure, axes = figures.new(1, 1, height=3.0)
-    for (name, course), color in zip(courses.items(), (figures.BLUE, figures.RED), strict=False):
-        axes.semilogy(course.time_s, course.size / course.size[0], color=color, label=name)
-        style = {"color": figures.BLACK, "label": f"{name}, predicted"}
-        axes.semilogy(course.time_s, course.predicted / course.size[0], ":", **style)
-    axes.set(xlabel="time (s)", ylabel="sideways command over its start")
-    axes.yaxis.set_minor_locator(LogLocator(subs=(2.0, 3.0, 5.0, 7.0)))
-    axes.yaxis.set_major_formatter("{x:g}")  # 0.3 is read sooner than 3 × 10⁻¹
-    axes.yaxis.set_minor_formatter("{x:g}")
     axes.legend()
     return figure
 
@@ -829,27 +730,6 @@ def severe(seed: int, low_pass_hz: float) -> dict[str, dict[str, float]]:
     return {case: {name: each / printed for name, each in row.items()} for case, row in found.items()}
 
 
-def eigenvalue_spreads(low_pass_hz: float) -> dict[str, tuple[float, float]]:
-    """Fastest over slowest rate of the mean, and slowest time constant (s), of FeLMS, its variants and FeRLS.
-
-    *Normalised* divides each regressor by its power, *pre-whitened* flattens the floor that the sensors see, before N.
-    """
-    twin = load_twin("fitted")
-    steady, white = (
-        steady_state(twin, floor) for floor in (flat_floor(low_pass_hz), flat_floor(2400.0, high_pass_hz=0.1))
-    )
-    powers = np.kron(np.eye(twin.actuators), np.diag(1 / np.diag(steady.correlation)))
-    normalised = np.linalg.eigvals(powers @ steady.update).real / twin.regressors
-    printed = twin.sample_time / STEP_SIZE
-    rates = {
-        "FeLMS (trace)": (steady.lms_eigenvalues.real, printed),
-        "normalised": (normalised, printed),
-        "pre-whitened": (white.lms_eigenvalues.real, printed),
-        "FeRLS": (steady.rls_eigenvalues.real, MEMORY_S),
-    }
-    return {name: (each.max() / each.min(), unit / each.min()) for name, (each, unit) in rates.items()}
-
-
 def memory_ratio(forgetting: float) -> float:
     """Steady P at a forgetting factor over the one at that of the paper."""
     return (1 - forgetting) / (1 - FORGETTING)
@@ -920,16 +800,13 @@ def appendix(
         By the model's name.
     """
     fitted, rigid = load_twin("fitted"), load_twin("rigid_body")
-    floor, time = flat_floor(low_pass_hz), np.arange(0.1, 300.0, 0.1)
-    _of_spectra(page, fitted, expected, given["step_size"], low_pass_hz)
+    floor = flat_floor(low_pass_hz)
     _of_section_5_1_1(page, given, low_pass_hz, seed, study, rigid_study)
     _of_actuators(page, rigid, floor, given, seed)
     _of_variance(page, given["trace"] == "literal", low_pass_hz, seed)
-    _of_choices(page, fitted, expected[fitted.name], given, time, seed, study)
-    _of_shakers(page, fitted, expected[fitted.name], low_pass_hz, given["step_size"], time)
+    _of_choices(page, seed, study)
     _of_structure(page, fitted, low_pass_hz)
     _of_starts(page, fitted, floor, expected[fitted.name], given, low_pass_hz, seed)
-    _of_stability(page, rigid, floor, low_pass_hz, given["memory_s"], seed)
     page.text(LIMITS)
 
 
@@ -945,26 +822,6 @@ diverge on a floor of 20-24 Hz.
 
 def _row(values: ArrayLike, form: str = ".1f") -> str:
     return " ".join(format(each, form) for each in np.asarray(values))
-
-
-def _of_spectra(
-    page, fitted: Twin, expected: Mapping[str, Steady], step_size: float, low_pass_hz: float
-) -> None:
-    page.text("""## From spectra alone
-
-Weights w1 to w9 at which the mean of both algorithms stops, their distance from Wiener's solution (least $E[e'e]$), and the
-slowest mode of FeLMS:""")
-    for name, steady in expected.items():
-        slowest = fitted.sample_time / step_size / steady.lms_eigenvalues.real.min()
-        apart = np.abs(steady.weights - steady.least_squares).max()
-        page.show(
-            f"{name}: {_row(steady.weights[0], '.3f')}",
-            f"{apart:.4f} N per m/s² from Wiener, slowest FeLMS mode {slowest:.0f} s",
-        )
-    page.text("""Fastest over slowest rate of the mean, and the slowest time constant, for FeLMS, for LMS with each regressor divided by its
-power (NLMS), for pre-whitened LMS, and for FeRLS:""")
-    for name, (spread, slowest) in eigenvalue_spreads(low_pass_hz).items():
-        page.show(f"{name}: {spread:.1f}, {slowest:.0f} s")
 
 
 def _of_section_5_1_1(page, given: Mapping, low_pass_hz: float, seed: int, study, rigid_study) -> None:
@@ -1062,27 +919,11 @@ where the estimate has 300:""")
     )
 
 
-def _of_choices(page, fitted: Twin, steady: Steady, given: Mapping, time, seed: int, study: Study) -> None:
+def _of_choices(page, seed: int, study: Study) -> None:
     page.text("""## The other open choices
 
-One changes at a time. We draw the mean weights without noise and judge the geometric mean over w4 to w9 of eight runs. On the
-runs of Table 1 we also try a band of 37 %, the usual time constant.""")
-    wide = steady_state(fitted, flat_floor(1500.0))
-    step, start = {"step_size": given["step_size"]}, {"initial_covariance": given["initial_covariance"]}
-    variants = {
-        "FeLMS, as chosen": (steady, step),
-        "FeLMS, trace as printed": (steady, {"step_size": given["step_size"] / fitted.actuators}),
-        "FeLMS, flat to 1500 Hz": (wide, step),
-        "FeRLS, as chosen": (steady, start),
-        "FeRLS, start ten times, as printed": (steady, {"initial_covariance": 10.0}),
-        "FeRLS, flat to 1500 Hz": (wide, start),
-    }
-    times = {}
-    for name, (oracle, setting) in variants.items():
-        grid = time if name.startswith("FeLMS") else time[time < 50]
-        course = mean_course(fitted, oracle, name[:5], grid, memory_s=given["memory_s"], **setting)
-        times[name] = settling_times(grid, course, oracle.weights[0])
-    page.save("choices", paint_choices(times))
+One changes at a time; judged is the geometric mean over w4 to w9 of eight runs. On the runs of Table 1 we also try a band of
+37 %, the usual time constant.""")
     for entry, name, changed in (
         ("literal-trace", "FeLMS", {"trace": "literal"}),
         ("literal-floor", "FeLMS", {"low_pass_hz": 1500.0}),
@@ -1094,34 +935,6 @@ runs of Table 1 we also try a band of 37 %, the usual time constant.""")
         )
     for name in ALGORITHMS:
         page.show(f"{name}, band of 37 %, w1 to w9: {_row(stats.gmean(study[f'{name} tau 37'], axis=0))}")
-
-
-def _of_shakers(page, fitted: Twin, steady: Steady, low_pass_hz: float, step_size: float, time) -> None:
-    page.text("""## Unequal shakers
-
-The rates of FeLMS depend on how strongly each floor sensor is shaken, which is not printed. Times without noise, for equal levels
-and for 1.6 : 1 : 0.6, **chosen after seeing Table 1**:""")
-    for levels in ([1.0, 1.0, 1.0], [1.6, 1.0, 0.6]):
-        oracle = steady_state(fitted, flat_floor(low_pass_hz, FLAT_LEVEL * np.array(levels)))
-        for algorithm, grid in (("FeLMS", time), ("FeRLS", time[time < 50])):
-            course = mean_course(fitted, oracle, algorithm, grid)
-            page.show(f"{algorithm}, {levels}: {_row(settling_times(grid, course, oracle.weights[0]))} s")
-    page.text(
-        "How far FeLMS first moves w2 the wrong way, and how near an unfinished run comes to the printed values:"
-    )
-    course = mean_course(fitted, steady, "FeLMS", time, step_size=step_size)
-    off = np.sqrt(np.mean((course - published_row("FeLMS", "final")) ** 2, axis=1))
-    wide = steady_state(fitted, flat_floor(1500.0))
-    wide_course = mean_course(fitted, wide, "FeLMS", time, step_size=step_size)
-    slow, slow_wide = (
-        settling_times(time, each, oracle.weights[0])[1]
-        for each, oracle in ((course, steady), (wide_course, wide))
-    )
-    page.show(
-        f"least w2: {course[:, 1].min():.2f}",
-        f"w2 within 63 % from {slow:.0f} s (flat to 1500 Hz: {slow_wide:.0f} s)",
-        f"nearest to the printed FeLMS values: {off.min():.3f} (rms) after {time[off.argmin()]:.0f} s",
-    )
 
 
 def _of_structure(page, fitted: Twin, low_pass_hz: float) -> None:
@@ -1177,21 +990,3 @@ From $P(-1) = I/\epsilon$ (section 4.3) the weights jump before the filters have
     found = starting(memory=given["memory_s"], floor_upper_end=low_pass_hz, seed=seed)
     for entry, (ours, interval) in found.items():
         page.check(entry, ours, interval)
-
-
-def _of_stability(page, rigid, floor, low_pass_hz: float, memory_s: float, seed: int) -> None:
-    page.text(r"""## Is the mean convergence stable?
-
-The estimate (2) is the same on every axis; the modes of the rigid body differ. Left: eigenvalues of $\hat P_2^{-1}P_2$ from 2 to
-300 Hz; around the x and y modes not all have positive real parts. Right: convergence rates times the memory; with a full
-$6\times6$ estimate all are near one.""")
-    page.save("path-error", paint_path_error(rigid, floor))
-    page.text(
-        "A sideways error of the weights decays on the flat floor and grows on one confined to 20-24 Hz (dotted: predicted)."
-    )
-    floors = {f"flat to {low_pass_hz:g} Hz": floor, "confined to 20-24 Hz": narrow_floor(rigid, 20.0, 24.0)}
-    sideways = {
-        name: follow_sideways(rigid, each, DURATION_S / 2, memory_s, seed) for name, each in floors.items()
-    }
-    page.save("sideways", paint_sideways(sideways))
-    page.show(*(f"{name}: smallest real part {each.eigenvalue:.2f}" for name, each in sideways.items()))

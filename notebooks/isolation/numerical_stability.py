@@ -3,19 +3,17 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64
+from jaxtyping import Float32, Float64
 from numpy.typing import ArrayLike
-from scipy import signal
 
 from experiments.isolation.floors import SAMPLE_RATE, SENSORS, ShapedFloor, flat_floor
 from experiments.isolation.recorded_floors import RecordedFloor, ground_spectrum
 from experiments.isolation.simulation import Run, simulate
 from experiments.isolation.steady import steady_state
 from experiments.isolation.twin import Twin, load_twin
-from stillwork.base.algebra import add_scaled, inner_product, plus_column, plus_left, plus_row, project
+from stillwork.base.algebra import add_scaled, plus_column, plus_left, plus_row, project
 from stillwork.base.checks import (
     InputError,
     pluralise,
@@ -24,10 +22,9 @@ from stillwork.base.checks import (
     require_count,
     require_number,
 )
-from stillwork.base.kernels import borrowing_kernel, inlined_kernel, kernel
-from stillwork.estimation.adaptive import FeRls, ferls_update, hold_triangle
+from stillwork.base.kernels import borrowing_kernel, inlined_kernel
+from stillwork.estimation.adaptive import FeRls
 from stillwork.estimation.covariance_forms import (
-    add_triangle_information,
     factor_of,
     update_covariance,
     update_ud,
@@ -36,8 +33,6 @@ from stillwork.estimation.covariance_forms import (
 from stillwork.signals import load_record
 from stillwork.signals.records import Record, resample, to_acceleration
 from workbook import figures, paths
-from workbook.claims import load_entries
-from workbook.palette import COLOURS
 
 
 def synthesise_floor(
@@ -334,21 +329,6 @@ def steady_start(regressors: ArrayLike, forgetting: float) -> Float64[np.ndarray
     return (1 - forgetting) * (inverse + inverse.T) / 2
 
 
-def runs_from_diagonal(
-    regressors: ArrayLike, forgetting: float, forms, time_constants: float, steady: bool = False
-) -> dict[str, CovarianceRun]:
-    """Each form in float32, from (1 - lambda) / power of each regressor, or from the diagonal of the `steady` P.
-
-    Both are the steady P where regressors are uncorrelated; where one motion drives them the second is larger by far.
-    """
-    psi = require_array("regressors", regressors, ndim=2)
-    diagonal = (
-        np.diag(steady_start(psi, forgetting)) if steady else (1 - forgetting) / np.mean(psi**2, axis=1)
-    )
-    start = np.diag(diagonal)
-    return {form: covariance_run(form, psi, forgetting, start, time_constants, "float32") for form in forms}
-
-
 def stability_map(
     conditions, precisions, forms, seeds: int, samples_per_constant: int, time_constants: float
 ) -> dict[tuple[str, str], Float64[np.ndarray, "2 conditions seeds"]]:
@@ -522,147 +502,6 @@ def _both_products(matrix, regressors, forgetting, column, row):
 #     e(k) = N (W(k-1) - w) psi(k-1)
 
 
-CURES = ("none", "leakage", "limit", "no forgetting")
-NONE, LEAKAGE, LIMIT, NO_FORGETTING = range(4)
-
-# A command this many times the largest one that the right weights would give has left every actuator's range.
-OVERLOAD = 1e3
-
-
-class SmallestLoop(NamedTuple):
-    """What the floor alone decides of the module's loop, the same whatever becomes of P.
-
-    Kept whole for all cures: 16 bytes a sample and regressor.
-    """
-
-    regressors: Float64[np.ndarray, "samples n"]  # psi
-    filtered: Float64[np.ndarray, "samples n"]  # psi_N
-    optima: Float64[np.ndarray, "segments n"]  # w of each segment
-    segment: Int64[np.ndarray, " samples"]  # to which a sample belongs
-    shaping: Float64[np.ndarray, "sections 6"]  # N
-
-
-def smallest_loop(
-    segments: Sequence[tuple[ArrayLike, ArrayLike]], integrator: ArrayLike, shaping: ArrayLike
-) -> SmallestLoop:
-    """Loop on (floor (sensors, samples) in m/s², optimum w) that follow one another, from rest."""
-    floors = [require_array("floor", floor, ndim=2) for floor, _ in segments]
-    optima = np.array([require_array("optimum", w, ndim=1) for _, w in segments])
-    integrator = require_array("integrator", integrator, shape=(None, 6))
-    shaping = require_array("shaping", shaping, shape=(None, 6))
-    direct = np.concatenate(floors, axis=1)
-    band, (sensors, samples) = signal.sosfilt(shaping, direct), direct.shape
-    regressors, filtered = np.empty((2, samples, optima.shape[1]))
-    for first in range(0, optima.shape[1], sensors):
-        if first:
-            direct, band = signal.sosfilt(integrator, direct), signal.sosfilt(integrator, band)
-        columns = slice(first, first + sensors)
-        regressors[:, columns], filtered[:, columns] = direct.T, band.T
-    segment = np.repeat(np.arange(len(floors)), [part.shape[1] for part in floors])
-    return SmallestLoop(regressors, filtered, optima, segment, shaping)
-
-
-@dataclass(frozen=True)
-class CureRun:
-    """Closed-loop adaptation with one cure, at equally spaced moments; NaN after an overload."""
-
-    samples: Float64[np.ndarray, " kept"]  # samples seen
-    growth: Float64[np.ndarray, "kept n"]  # diagonal of P over that of P(-1)
-    misalignment: Float64[np.ndarray, " kept"]  # size of W - w in the metric of P(-1), over its start
-    error_power: Float64[np.ndarray, " kept"]  # mean square of e over the interval
-
-    def decay(self, start: int, stop: int) -> float:
-        """Time constant of the misalignment in samples, fitted to the kept moments `start` to `stop`."""
-        rows = slice(start, stop)
-        return float(-1 / np.polyfit(self.samples[rows], np.log(self.misalignment[rows]), 1)[0])
-
-
-def run_cure(
-    cure: str,
-    loop: SmallestLoop,
-    covariance: ArrayLike,
-    forgetting: float,
-    *,
-    growth: float = 10.0,
-    keep_every: int = 1000,
-) -> CureRun:
-    """Adapt in closed loop from zero weights.
-
-    Of the cures, ``limit`` is the library's: the diagonal of P stays below `growth` times its start; ``leakage`` after
-    Levenberg and Marquardt: every sample adds information along every axis, so that a silent one settles at `growth`;
-    ``no forgetting``: lambda = 1. `covariance` is the diagonal of P(-1), steady values.
-    """
-    code = CURES.index(require_choice("cure", cure, CURES))
-    start = require_array("covariance", covariance, shape=loop.optima.shape[1:])
-    forgetting = require_number("forgetting", forgetting, above=0.0, below=1.0)
-    growth = require_number("growth", growth, above=1.0)
-    every = require_count("keep_every", keep_every)
-    kept = np.full((len(loop.segment) // every, len(start) + 2), np.nan)
-    _cure_run(code, loop, start, forgetting, growth, every, kept)
-    return CureRun(every * np.arange(1.0, len(kept) + 1), kept[:, 2:], kept[:, 0], kept[:, 1])
-
-
-@inlined_kernel
-def _cascade(sections, state, value):
-    """One sample through second-order sections in transposed direct form II."""
-    for s in range(len(sections)):
-        out = sections[s, 0] * value + state[s, 0]
-        state[s, 0] = sections[s, 1] * value - sections[s, 4] * out + state[s, 1]
-        state[s, 1] = sections[s, 2] * value - sections[s, 5] * out
-        value = out
-    return value
-
-
-@kernel
-def _cure_run(cure, loop, start, forgetting, growth, every, kept):
-    regressors, filtered, optima, segment, shaping = loop
-    n, memory = len(start), np.zeros((len(shaping), 2))
-    weights, covariance, levels = np.zeros((1, n)), np.zeros((n, n)), np.zeros((4, n))
-    for i in range(n):
-        covariance[i, i] = start[i]
-        levels[0, i] = growth * start[i] if cure == LIMIT else np.inf
-    gain, error = np.empty(n), np.empty(1)
-    command, wanted, squares, largest, first = 0.0, 0.0, 0.0, 0.0, 0.0
-    for i in range(n):
-        first += optima[0, i] ** 2 / start[i]
-    for k in range(len(segment)):
-        psi, shaped = regressors[k], filtered[k]
-        error[0] = _cascade(shaping, memory, command - wanted)
-        squares += error[0] * error[0]
-        optimum = optima[segment[k]]
-        command, wanted = plus_row(0.0, weights, 0, psi), inner_product(optimum, psi)
-        largest = max(largest, abs(wanted))
-        if not abs(command) <= OVERLOAD * largest:
-            return
-
-        kept_share = 1.0 if cure == NO_FORGETTING else forgetting
-        _, reached = ferls_update(weights, covariance, kept_share, levels, np.inf, gain, shaped, error)
-        if reached:
-            hold_triangle(covariance, forgetting, levels, gain)
-        if cure == LEAKAGE:
-            # One axis a sample with n times the amount: the same on average at the cost of one.
-            axis = k % n
-            information = n * (1 - forgetting) / (growth * start[axis])
-            add_triangle_information(covariance, axis, information, gain)
-        if (k + 1) % every == 0:
-            row, distance = k // every, 0.0
-            for i in range(n):
-                distance += (weights[0, i] - optimum[i]) ** 2 / start[i]
-                kept[row, 2 + i] = covariance[i, i] / start[i]
-            kept[row, 0] = np.sqrt(distance / first)
-            kept[row, 1] = squares / every
-            squares = 0.0
-
-
-def start_breaks_s(
-    twin: Twin, floor: ShapedFloor, start: float, forgetting: float, seed: int, duration_s: float = 1.0
-) -> float:
-    """When FeRLS with the default limit breaks the loop from zero weights and P(-1) = `start` I, s; NaN where it goes on."""
-    adaptation = FeRls(start, forgetting)
-    run = simulate(twin, floor, duration_s, adaptation=adaptation, seed=seed, to_the_break=True)
-    return np.nan if run.broke_s is None else run.broke_s
-
-
 def peak_error(run: Run, from_s: float) -> float:
     """Largest filtered error from a moment on over its mean in the ten seconds before; infinite if the run broke."""
     if run.broke_s is not None:
@@ -782,19 +621,6 @@ def _name_zero(axes):
     axes.annotate("exactly 0 is drawn here", (0.99, FLOOR * 2), color=figures.GREY, **style)
 
 
-def paint_windup(runs: Mapping[str, CovarianceRun]):
-    """Largest eigenvalue of P while a direction is silent, a panel for each kind of silence."""
-    figure, grid = figures.new(1, len(runs), height=3.0, sharey=True, squeeze=False)
-    for axes, (title, run) in zip(grid[0], runs.items(), strict=True):
-        t = run.time_constants
-        axes.semilogy(t, run.largest, label="every form")
-        axes.semilogy(t, np.exp(t), color=figures.GREY, lw=4, alpha=0.4, zorder=1, label="exp(t / T)")
-        axes.set(xlabel="time constants of the forgetting", title=title, ylim=(0.3, 1e15))
-    grid[0, 0].set(ylabel="largest eigenvalue of P / start")
-    figures.legend_below(grid[0, 0], 2)
-    return figure
-
-
 def paint_return(outcomes: Mapping[str, Sequence[Run]], return_s: float):
     """Filtered error around the return of a silent sensor; a cross marks where a run broke."""
     figure, grid = figures.new(1, len(outcomes), height=3.0, sharey=True, squeeze=False)
@@ -809,31 +635,6 @@ def paint_return(outcomes: Mapping[str, Sequence[Run]], return_s: float):
         axes.set(xlabel="time since the sensor's return (s)", title=name, xlim=(-5, 15))
         axes.legend(loc="upper right")
     grid[0, 0].set(ylabel="filtered error, rms (N)")
-    return figure
-
-
-def paint_cures(
-    runs: Mapping[str, CureRun], samples_per_constant: float, silence: tuple[float, float], step: float
-):
-    """Growth of P, misalignment and error of the cures."""
-    figure, (top, middle, bottom) = figures.new(3, 1, height=6.4, sharex=True)
-    for style, color, (name, run) in zip(("-", "--", "-.", ":"), COLOURS, runs.items(), strict=False):
-        t = run.samples / samples_per_constant
-        top.semilogy(t, run.growth.max(axis=1), style, color=color, label=f"{name}, largest")
-        top.semilogy(t, run.growth.min(axis=1), style, color=color, lw=0.7, label=f"{name}, smallest")
-        middle.semilogy(t, run.misalignment, style, color=color, label=name)
-        bottom.semilogy(t, np.sqrt(run.error_power), style, color=color, label=name)
-    for axes in (top, middle, bottom):
-        axes.axvspan(*silence, color=figures.GREY, alpha=0.12, lw=0)
-        axes.axvline(step, color=figures.BLACK, lw=0.8, ls=":")
-    look = {"xycoords": ("data", "axes fraction"), "va": "top", "fontsize": 8}
-    top.annotate("one floor sensor silent", (np.mean(silence), 0.96), ha="center", **look)
-    look |= {"xytext": (-4, 0), "textcoords": "offset points"}
-    middle.annotate("the optimum moves by 20 %", (step, 0.96), ha="right", **look)
-    top.set(ylabel="diagonal of P / start", ylim=(1e-2, 1e6))
-    middle.set(ylabel="misalignment")
-    bottom.set(xlabel="time constants of the forgetting", ylabel="filtered error, rms (N)")
-    figures.legend_below(top, 4)
     return figure
 
 
@@ -912,184 +713,3 @@ def returns(
 
 
 # === Appendix =====================================================================================================
-
-
-def appendix(
-    page,
-    *,
-    twin: Twin,
-    floor_upper_end: float,
-    motions: Mapping,
-    records: Mapping[str, np.ndarray],
-    shipped: Mapping,
-    forgetting: float,
-    diagonal: np.ndarray,
-    settings: Mapping,
-    seed: int,
-) -> None:
-    """What this notebook judges beside its answer.
-
-    Parameters
-    ----------
-    page : workbook.appendix.Appendix
-    twin : Twin
-    floor_upper_end : float
-        Of the flat floor, Hz.
-    motions, records, shipped : mapping
-        By floor: the motion, the filtered regressors, the condition number with the runs from the steady P.
-    forgetting : float
-    diagonal : array
-        Of the steady P.
-    settings : mapping
-        The notebook's other parameters.
-    seed : int
-    """
-    _of_common_motion(page, twin, motions, records, shipped, forgetting, settings, seed)
-    _of_wind_up(page, twin, silenced(floor_upper_end), np.diag(diagonal), forgetting, settings, seed)
-    _of_large_starts(page, twin, flat_floor(floor_upper_end), forgetting, seed)
-    _of_cures(page, twin, floor_upper_end, diagonal, forgetting, settings, seed)
-
-
-def _of_common_motion(page, twin, motions, records, shipped, forgetting, settings, seed) -> None:
-    page.text(r"""## One motion for all sensors, from two diagonals
-
-*Diagonal start* may mean two things: $(1-\lambda)$ over each regressor's power, or the diagonal of the steady $P$, which section
-5.1.1 and page 02 mean. They are equal for uncorrelated regressors; here the second is larger by the condition number. In
-float32, over eighteen time constants and several seeds of the sensors' noise:""")
-    plain = ("both products", "triangle", "Joseph")
-    late = runs_from_diagonal(records[SLAB], forgetting, FORMS[1:], 18)
-    early = shipped[SLAB][1]
-    obeyed = [np.isinf(late[form].breakdown) == (form in FACTORED) for form in FORMS[1:]]
-    obeyed += [
-        early["triangle"].breakdown <= 1,
-        early["Joseph"].breakdown <= 1,
-        np.isinf(early["UD"].breakdown),
-    ]
-    page.check("isolation.stability.slab", float(np.mean(obeyed)))
-    lost, sooner, common, off = [], [], [], []
-    for each in range(seed, seed + settings["noise_seeds"]):
-        psi = regressors_on(twin, motions[SLAB], settings["time_constant_s"], each)
-        after = runs_from_diagonal(psi, forgetting, FORMS[1:], 18)
-        lost.append([after[form].breakdown for form in plain])
-        off.append([after[form].worst for form in FACTORED])
-        after = runs_from_diagonal(psi, forgetting, plain, 18, steady=True)
-        sooner.append([run.breakdown for run in after.values()])
-        psi = regressors_on(twin, motions[COMMON], settings["time_constant_s"], each)
-        after = runs_from_diagonal(psi, forgetting, ("triangle", "Joseph", "UD"), 18)
-        common.append([run.breakdown for run in after.values()])
-    page.check("isolation.stability.slab-breakdown", round(float(np.median(lost)), -1))
-    page.check("isolation.stability.common-harmless", float(np.mean(np.isinf(common))))
-    off = np.array(off)
-    page.check("isolation.stability.ud-accurate", float(np.mean(off[:, 1] < 0.1)))
-    page.check("isolation.stability.roots-inaccurate", float(np.mean(off[:, [0, 2]] > 0.1)))
-    # Outwards to fives: rounding errors decide the last digits, and another processor's are others.
-    for form, times in zip(plain, np.transpose(lost), strict=True):
-        low, high = 5 * np.floor(times.min() / 5), 5 * np.ceil(times.max() / 5)
-        page.show(
-            f"slab, {form}, from (1 - λ)/power: indefinite after {low:.0f} to {high:.0f} time constants"
-        )
-    page.show(
-        *(
-            f"slab, {f}: eigenvalues off by about {e:.1g}"
-            for f, e in zip(FACTORED, off.max(axis=0), strict=True)
-        )
-    )
-    page.conclude(
-        "From $(1-\\lambda)$ over power both products, triangle and Joseph lose definiteness after some ten time constants, from the "
-        "diagonal of the steady $P$ within {most:.0f}.",
-        "From the diagonal of the steady $P$ both products, triangle and Joseph do not lose it sooner than from $(1-\\lambda)$ over "
-        "power: within {most:.0f} time constants.",
-        when=np.max(sooner) < np.min(lost),
-        most=np.ceil(np.max(sooner)),
-    )
-
-
-def _of_wind_up(page, twin, quiet, start, forgetting, settings, seed) -> None:
-    page.text(r"""## A silent direction
-
-Where the floor does not excite a combination of the regressors, $P$ grows as $e^{t/T}$ in every form. Left: one floor sensor
-reads exactly zero. Right: it gives only its noise, and the growth ends four orders of magnitude higher, at the ratio of the
-powers.""")
-    seconds = {"duration_s": 2.0 + settings["time_constant_s"], "signals_from_s": 2.0, "seed": seed}
-    silent = {
-        "sensor exactly silent": simulate(twin, quiet, noise=False, **seconds),
-        "sensor with its noise only": simulate(twin, quiet, **seconds),
-    }
-    wound = {
-        title: [
-            covariance_run(form, run.filtered_regressors, forgetting, start, settings["windup_constants"])
-            for form in ("triangle", "UD")
-        ]
-        for title, run in silent.items()
-    }
-    apart = [np.abs(one.largest / other.largest - 1).max() for one, other in wound.values()]
-    page.check("isolation.stability.windup-forms", float(max(apart)))
-    free = wound["sensor exactly silent"][0]
-    rising = (free.time_constants > 5) & (free.time_constants < 25)
-    rate = np.polyfit(free.time_constants[rising], np.log(free.largest[rising]), 1)[0]
-    page.check("isolation.stability.windup-rate", rate)
-    page.save("windup", paint_windup({title: runs[0] for title, runs in wound.items()}))
-
-
-def _of_large_starts(page, twin, floor, forgetting, seed) -> None:
-    page.text(r"""## Too large a start
-
-The limit does not help against it (02: a hundred times the steady $P$ still works). From the printed $P(-1) = I/\epsilon$ with
-$\epsilon = 10^{-5}$ the loop breaks in its first samples, and from $10^3$ on most floors:""")
-    for power in (5, 3):
-        broke = np.array([start_breaks_s(twin, floor, 10.0**power, forgetting, seed + k) for k in range(12)])
-        there = broke[np.isfinite(broke)]
-        last = f", by {there.max():.2g} s" if len(there) else ""
-        page.show(f"start 1e{power}, with the default limit: broke on {len(there)} of 12 floors{last}")
-        page.check(f"isolation.stability.start-1e{power}", len(there) / len(broke))
-
-
-def _of_cures(page, twin, floor_upper_end, diagonal, forgetting, settings, seed) -> None:
-    page.text(r"""## Three remedies, and what they cost
-
-One actuator, the path known but for its delay. The optimum (Table 1) moves by 20 % while the direction is silent. *None* is the
-printed algorithm; *leakage* (Levenberg and Marquardt) adds information along every axis at every sample; *no forgetting* is
-$\lambda = 1$; the *limit*, our default, adds information along an axis only when its diagonal element exceeds ten times its
-start. Misalignment: share of the move not followed.""")
-    constant, silent = round(settings["time_constant_s"] / twin.sample_time), settings["silent_constants"]
-    cured = cured_runs(twin, floor_upper_end, diagonal, forgetting, settings, seed)
-    page.save("cures", paint_cures(cured, constant, (5, 5 + silent), 2 + silent))
-    base, back = cured["none"].decay(2, 30), round(10 * (5 + silent))
-    for name, run in cured.items():
-        peak = np.sqrt(run.error_power[back : back + 20].max())
-        page.show(
-            f"{name:13s} adaptation time {100 * (run.decay(2, 30) / base - 1):+4.0f} %, peak error at the return {peak:.1e} N rms, "
-            f"lowest gain left {run.growth[back - 1].min():.2f}, misalignment {run.misalignment[back - 1]:.3f}"
-        )
-    page.check("isolation.stability.leakage-slower", cured["leakage"].decay(2, 30) / base - 1)
-    largest = {name: run.growth[:back].max() for name, run in cured.items() if name != "none"}
-    bounded = np.array(list(largest.values())) < 2 * settings["growth_limit"]
-    page.check("isolation.stability.cures-bounded", np.mean(bounded))
-    left = {name: run.misalignment[back - 1] for name, run in cured.items()}
-    follow = [left[name] < left["no forgetting"] for name in ("limit", "leakage")]
-    page.check("isolation.stability.cures-follow", np.mean(follow))
-    page.conclude(
-        "Leakage slows every adaptation by {leakage:.0%}; the limit, our default, by {limit:.0%} while every direction is excited. "
-        "Without forgetting {left:.0%} of the move of the optimum is not followed.",
-        leakage=cured["leakage"].decay(2, 30) / base - 1,
-        limit=abs(cured["limit"].decay(2, 30) / base - 1),
-        left=left["no forgetting"],
-    )
-
-
-def cured_runs(
-    twin: Twin, floor_upper_end: float, diagonal: np.ndarray, forgetting: float, settings: Mapping, seed: int
-) -> dict[str, CureRun]:
-    """The smallest loop with each of `CURES`: one floor sensor silent for a while, in which the optimum moves by 20 %."""
-    constant, silent = round(settings["time_constant_s"] / twin.sample_time), settings["silent_constants"]
-    entries = load_entries("isolation")
-    table_1 = np.array([entries[f"isolation.table-1.ferls.final-w{k}"].published for k in range(1, 10)])
-    floor, still = flat_floor(floor_upper_end), flat_floor(floor_upper_end, level=[1.5e-3, 1.5e-3, 1e-5])
-    stages = [(5, floor, 1.0), (silent - 3, still, 1.0), (3, still, 1.2), (5, floor, 1.2)]
-    segments = [
-        (part.acceleration(round(length * constant), seed + k), scale * table_1)
-        for k, (length, part, scale) in enumerate(stages)
-    ]
-    loop = smallest_loop(segments, twin.integrator, twin.noise_shaping)
-    options = {"growth": settings["growth_limit"], "keep_every": constant // 10}
-    return {cure: run_cure(cure, loop, diagonal, forgetting, **options) for cure in CURES}

@@ -10,11 +10,9 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from experiments.motion.designs import (
-    COMPENSATIONS,
     DAMPING,
     DESIGNS,
     NOISE_MODEL,
-    SIX,
     Design,
     as_read,
     controllers,
@@ -401,23 +399,6 @@ BANDWIDTHS = {  # entries of Table 3.5 and of the text, in the order of the publ
     "mc-and-ad": "MC and AD",
 }
 
-LOOPS = (*OPEN_LOOPS, "f_bw")
-WAYS = [(six, compensation) for six in SIX for compensation in COMPENSATIONS]  # the defaults first
-
-
-def agreeing(published_hz: Sequence[float] | np.ndarray, cut_off: bool = False) -> np.ndarray:
-    """Whether published values agree with ours, (loops, masses, ways, values): whole hertz rounded or cut off.
-
-    `published_hz` are those of `BANDWIDTHS` in order, and the second one of MC with two constraints.
-    """
-    names = [*BANDWIDTHS.values(), "MC, two constraints"]
-    found = [
-        [[[bandwidth(name, loop, mass, *way) for name in names] for way in WAYS] for mass in range(1, 8)]
-        for loop in LOOPS
-    ]
-    off = np.array(found) - np.asarray(published_hz)
-    return (off >= 0) & (off < 1) if cut_off else np.abs(off) <= 0.5
-
 
 def bandwidths(
     *,
@@ -431,7 +412,7 @@ def bandwidths(
 ) -> Values:
     """Bandwidths of chapter 3 at one mass, each with what its print may leave off; it has no fast variant.
 
-    `open_loop` is one of `LOOPS`, `six` of `SIX`, `compensation` of `COMPENSATIONS`, `stage_damping` a ratio, and
+    `open_loop` is one of `OPEN_LOOPS`, `six` of `SIX`, `compensation` of `COMPENSATIONS`, `stage_damping` a ratio, and
     `printed_hertz` ``rounded`` (half a hertz to either side) or ``cut off`` (up to one hertz more than printed).
     """
     below, above = (0.5, 0.5) if printed_hertz == "rounded" else (1.0, 0.0)
@@ -475,13 +456,11 @@ def appendix(
     *,
     studies: Mapping[str, OpenChoices],
     position: int,
-    published: Mapping[str, float],
     gains: Mapping[str, np.ndarray],
     row: pd.Series,
     third: pd.DataFrame,
 ) -> None:
-    """What the notebook judges beside its answer: one combination for all, what the table depends on, the third constraint."""
-    _of_one_combination(page, studies, published)
+    """What the notebook judges beside its answer: what the table depends on, the third constraint."""
     _of_the_choices(page, studies, position)
     again = studies["MC, two constraints"]
     page.check("motion.bandwidth.mc-two-constraints-again", again.crossing(position), again.interval)
@@ -498,30 +477,6 @@ def appendix(
         when=largest <= 0.2,
         most=largest,
     )
-
-
-def _of_one_combination(page, studies: Mapping[str, OpenChoices], published: Mapping[str, float]) -> None:
-    page.text("""## One combination for all nine?
-
-The thesis used one loop at one mass. How many of its nine values (72 and 73 Hz belong to one design) agree with ours by loop
-and mass, by default and at most over both meanings of 6 dB and three ways in which MC keeps its integral action? Printed hertz
-are rounded or cut off; the latter was added after the numbers had been seen.""")
-    masses = [f"mass {mass}" for mass in range(1, 8)]
-    for title, ending in (("rounded", ""), ("cut off", "-cut-off")):
-        fits = agreeing([*published.values(), 73.0], title == "cut off")
-        count = fits.sum(axis=-1)
-        for part, shown in (("by default", count[:, :, 0]), ("at most", count.max(axis=2))):
-            page.show(f"{title}, {part}", pd.DataFrame(shown, index=LOOPS, columns=masses))
-        loop, mass, way = np.unravel_index(count.argmax(), count.shape)
-        page.show(f"most: {count.max()} with {LOOPS[loop]}, mass {mass + 1}, {', '.join(WAYS[way])}")
-        page.check(f"motion.bandwidth.one-reading{ending}", count.max())
-        page.check(f"motion.bandwidth.this-reading{ending}", count[0, 4, 0])
-        if not ending:
-            page.check("motion.bandwidth.some-reading", fits[:, :, 0].any(axis=(0, 1)).sum())
-    off = distances(published)
-    page.show(f"all eight within 3 % at {np.sum(off <= 0.03)} of {off.size} loops and masses")
-    page.check("motion.bandwidth.default-distance", 100 * off[0, 4])
-    page.check("motion.bandwidth.largest-distance", 100 * off.max())
 
 
 def distances(published: Mapping[str, float]) -> np.ndarray:

@@ -12,7 +12,6 @@ from experiments.motion.decoupling_pictures import paint_transfer_matrix
 from experiments.motion.decoupling_schemes import (
     SCHEMES,
     Settings,
-    common_band_passed,
     low_frequency_slopes,
     off_diagonal_peak,
     oscillates_stably,
@@ -27,7 +26,7 @@ from stillwork.control.bandwidth import Infeasible
 from stillwork.control.decoupling import decouple, decoupled_plant
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel
-from workbook import figures, proportion_interval, run_study
+from workbook import proportion_interval, run_study
 from workbook.studies import Study
 
 
@@ -102,18 +101,13 @@ def appendix(
     *,
     plants: Mapping[str, ModalModel],
     settings: Settings,
-    static: np.ndarray,
-    half_power: float,
     systems: Mapping[str, StateModel],
     study: Study,
     drawn: Sequence[str],
-    common_selectivities: Sequence[float] | np.ndarray,
     runs: int,
     seed: int,
 ) -> None:
     """What the page of motion/18 judges beside its answer."""
-    plant = plants["each mode"]
-    _of_band_passes(page, plant, settings, static, half_power, systems, common_selectivities)
     _of_constraints(page, plants, settings, systems["undamped"])
     _of_both(page, plants["over-actuation"], settings)
     _of_stiffness(page, plants, settings, systems["undamped"])
@@ -129,45 +123,6 @@ Slopes off the diagonal between 0.03 and 0.3 Hz, with perfect estimates and with
             rows.setdefault(f"q2 from u1, {who}", []).append(slopes[1, 0])
     page.show(pd.DataFrame(rows, index=seen).round(2) + 0.0)
     _of_geometries(page, study, drawn, settings, runs, seed)
-
-
-def _of_band_passes(
-    page, plant, settings: Settings, static, half_power: float, systems, selectivities
-) -> None:
-    page.text(r"""## One band-pass a mode, or one for all
-
-The printed (4.17) lacks the factor $2\omega_j$ of (3.31). With it the modes gain more damping than wanted, because the filters add
-poles. Remark 4.3.2 has one band-pass for all, at $\omega_{pass}=\sqrt{\omega_3\,\omega_4}$; its $Q$ is not published, and we put the
-half-power points on the two resonances. Added damping ratio, then the shift of the frequency (%):""")
-    rates = 2 * np.repeat(plant.frequencies[: 2 + settings.damped], 2)
-    printed = np.divide(static, rates, out=np.zeros_like(static), where=rates > 0)
-    decoupling = decouple(plant)
-    cases = {
-        "no filter": decoupled_plant(plant, decoupling, static),
-        "(4.17) as printed": decoupled_plant(plant, decoupling, printed),
-        "band-pass each": systems["band-pass each"],
-        "common": systems["common band-pass"],
-    }
-    moved = {name: added_damping(plant, system) for name, system in cases.items()}
-    page.show(pd.DataFrame({n: damping for n, (damping, _) in moved.items()}, index=INDEX).round(4) + 0.0)
-    page.show(pd.DataFrame({n: 100 * shift for n, (_, shift) in moved.items()}, index=INDEX).round(2) + 0.0)
-    page.text("The wider the common band-pass, the closer the result is to that without a filter.")
-    curve = [
-        added_damping(plant, decoupled_plant(plant, decoupling, common_band_passed(plant, static, float(q))))
-        for q in selectivities
-    ]
-    figure, axes = figures.new(1, 2, height=2.6)
-    for mode, style in zip(range(settings.damped), ("o-", "s--"), strict=False):
-        axes[0].plot(selectivities, [one[0][mode] for one in curve], style, label=INDEX[mode])
-        axes[1].plot(selectivities, [100 * one[1][mode] for one in curve], style, label=INDEX[mode])
-    axes[0].axhline(settings.increase, color=figures.BLACK, linestyle=":", linewidth=1.0, label="wanted")
-    for axis in axes:
-        axis.axvline(half_power, color=figures.GREY, linestyle="--", linewidth=1.0, label="our $Q$")
-        axis.set_xlabel("selectivity $Q$ of the common band-pass")
-    axes[0].set_ylabel("added damping ratio")
-    axes[1].set_ylabel("shift of the frequency (%)")
-    axes[0].legend()
-    page.save("common-selectivity", figure)
 
 
 def _of_constraints(page, plants: Mapping[str, ModalModel], settings: Settings, undamped: StateModel) -> None:

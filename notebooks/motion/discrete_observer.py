@@ -9,18 +9,16 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 from scipy import linalg
 
-from experiments.motion.designs import COMPENSATED, DAMPING, RETAINED, stage_bandwidth
+from experiments.motion.designs import COMPENSATED, DAMPING, RETAINED
 from experiments.motion.machines import published_noise, stage
 from experiments.motion.pictures import add_magnitude, decibel, paint_magnitudes
 from stillwork.base.checks import InputError
-from stillwork.base.rounding import below
 from stillwork.control.applications import Application
-from stillwork.control.discrete_damping import damped_poles, discrete_damping_gain, sampled_feedback
+from stillwork.control.discrete_damping import damped_poles, discrete_damping_gain
 from stillwork.control.discrete_observer import discrete_compensator, discrete_kalman_observer
-from stillwork.control.feedback import damping_gain, place
+from stillwork.control.feedback import place
 from stillwork.control.loops import channel, closed_loop
-from stillwork.lti.delays import delayed
-from stillwork.lti.discretisation import zoh, zoh_modes
+from stillwork.lti.discretisation import zoh_modes
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.peaks import resonance_grid
 from stillwork.lti.reduction import truncate
@@ -181,27 +179,19 @@ def appendix(
     *,
     plant: ModalModel,
     reduced: ModalModel,
-    rates_khz: Sequence[float] | np.ndarray,
     sample_time: float,
     noise_model: float,
-    errors: Mapping[str, Sequence[float]],
-    blocks: Mapping[str, Mapping[str, StateModel]],
     left: Mapping[str, np.ndarray],
 ) -> None:
     """What this notebook judges beside its answer.
 
-    `errors` of the placement by gain and rate, `blocks` the sampled observers by use and timing, `left` the plant with MC at the
-    three resonances (dB).
+    `left` is the plant with MC at the three resonances (dB).
     """
     _of_integral_action(page, reduced, sample_time, noise_model)
-    _of_placement(page, reduced, rates_khz, sample_time, errors)
     _of_predictor(page, plant, sample_time)
     page.text("## MC at the resonances (dB re 1 m/N)")
     columns = [f"{f:.0f} Hz" for f in plant.frequencies[1:4] / (2 * np.pi)]
     page.show(pd.DataFrame(left, index=columns).T.round(1))
-    observer = discrete_kalman_observer(reduced, published_noise(), sample_time, noise_model)
-    bare = discrete_compensator(observer, Application(), "filter")
-    _of_peaks(page, plant, sample_time, {"no observer": {"": bare}, **blocks})
 
 
 def _of_integral_action(page, reduced: ModalModel, sample_time: float, noise_model: float) -> None:
@@ -219,35 +209,6 @@ $u$ to $\hat y_{flex}$ vanishes as $z\to1$, which requires the noise model. In d
     slopes = [values[1] - values[0] for values in falls.values()]
     page.check("motion.section-4-1-1.integral-action", np.mean(np.abs(np.array(slopes) - [20, 0]) < 1))
     page.show(pd.DataFrame(falls, index=[f"{f:g} Hz" for f in low / (2 * np.pi)]).T.round(1))
-
-
-def _of_placement(
-    page,
-    reduced: ModalModel,
-    rates_khz: Sequence[float] | np.ndarray,
-    sample_time: float,
-    errors: Mapping[str, Sequence[float]],
-) -> None:
-    page.text("## Damping ratios and frequencies with the continuous gain; errors of the placement")
-    continuous, rows = damping_gain(reduced, DAMPING, "pole placement"), {}
-    for rate in rates_khz[:5]:
-        found = sampled_feedback(reduced, continuous, 1e-3 / rate)
-        rows[f"{rate:g} kHz"] = [*found.damping[1:].round(4), *(found.frequencies[1:] / (2 * np.pi)).round(1)]
-    columns = [f"{what} {k}" for what in ("damping", "Hz") for k in (1, 2, 3)]
-    page.show(pd.DataFrame(rows, index=columns).T)
-    exact = placement_error(
-        reduced, discrete_damping_gain(reduced, DAMPING, sample_time), DAMPING, sample_time
-    )
-    page.check("motion.section-4-1-2.discrete-gain", round(exact, 10))  # what is left is rounding
-    first, *others = errors.items()
-    page.show(
-        "continuous gain: "
-        + ", ".join(f"{e:.1e} at {r:g} kHz" for e, r in zip(first[1], rates_khz, strict=True))
-    )
-    # Ten times or more what the reasons of `paint_placement` give: 2e-9 at 2048 kHz, 4e-6 at 128 kHz and 1.5e-8.
-    for (name, values), bound in zip(others, (1e-7, 1e-4, 1e-6), strict=True):
-        taken = np.array(rates_khz)[np.isfinite(values)].max()
-        page.show(f"{name}: {below(np.nanmax(values), bound)} up to {taken:g} kHz")
 
 
 def _of_predictor(page, plant: ModalModel, sample_time: float) -> None:
@@ -273,29 +234,3 @@ $P_{k|k} = (I - LC)\,P_{k|k-1}$. Standard deviation of the prediction over that 
     modes = ("rigid body", "mode 1", "mode 2", "mode 3")
     names = [f"{mode}, {what}" for mode in modes for what in ("position", "velocity")]
     page.show(pd.Series(new / old, index=names).round(4))
-
-
-def _of_peaks(
-    page, plant: ModalModel, sample_time: float, blocks: Mapping[str, Mapping[str, StateModel]]
-) -> None:
-    page.text("""
-## Peaks of both sensitivities with the sampled 37 Hz controller (dB)
-
-The predictor does not help when the whole force is one sample late (Remark 4.1.2).
-""")
-    machine = zoh_modes(plant, sample_time)
-    controller = zoh(stage_bandwidth("PID").controller.state_space(), sample_time)
-    near = np.concatenate([w * np.linspace(0.97, 1.03, 601) for w in plant.frequencies[1:]])
-    omega = np.union1d(2 * np.pi * np.geomspace(10.0, 4990.0, 3000), near)
-    omega, rows = omega[omega < np.pi / sample_time], {}
-    for name, each in blocks.items():
-        for label, block in each.items():
-            peaks = []
-            for late in (0, 1):
-                loop = closed_loop(delayed(machine, late), block, controller)
-                for pair in (("u_ff", "u"), ("v", "e_true")):
-                    response = channel(loop, *pair).frequency_response(omega)[0, 0]
-                    peaks.append(decibel(response).max() if loop.is_stable else np.nan)
-            rows[f"{name} {label}"] = peaks
-    columns = ["S_I", "S_O", "S_I, force late", "S_O, force late"]
-    page.show(pd.DataFrame(rows, index=columns).T.round(2), na_rep="unstable")

@@ -25,7 +25,7 @@ from experiments.motion.machines import (
     stage_mass,
 )
 from experiments.motion.pictures import add_magnitude, mark_limit, plain
-from experiments.motion.uncertainty import LAWS, detuned, perturbed, sample_errors
+from experiments.motion.uncertainty import detuned, perturbed, sample_errors
 from stillwork.base.checks import InputError
 from stillwork.base.toml_files import read_numbers
 from stillwork.control.applications import filtered_estimates
@@ -607,16 +607,6 @@ def _stored(found: list[Found], size: float, left: float = 0.0) -> Stored:
     return Stored(design, size, left, tuple(ends), len(found))
 
 
-def at_bounds(design: JointDesign) -> list[str]:
-    """Numbers that stand at an end of the range that a search allows them, those of a mode with its number."""
-    found = []
-    for name, bounds in LIMITS.items():
-        for mode, value in enumerate(np.atleast_1d(getattr(design, name)), 1):
-            if np.any(np.isclose(value, bounds, rtol=1e-3)):
-                found.append(f"{name} of mode {mode}" if name in ("damping", "selectivity") else name)
-    return found
-
-
 def as_toml(name: str, stored: Stored) -> str:
     """One table of ``joint.toml``."""
     values = asdict(stored)
@@ -701,98 +691,12 @@ def paint_joint(
 def appendix(
     page,
     *,
-    published: JointDesign,
-    designs: Mapping[str, JointDesign],
     stored: Mapping[str, Stored],
-    nominal: Mapping[str, Judged],
-    late: Judged,
     judges: Mapping[float, list[ModalModel]],
     fresh: Mapping,
-    law_plants: int,
-    fresh_seed: int,
 ) -> None:
     """What the page of motion/27 judges beside its answer."""
-    _of_the_delay(page, designs)
-    _of_each_freedom(page, stored, nominal, late)
-    _of_the_laws(page, designs, fresh, law_plants, fresh_seed)
     _of_fresh_stages(page, stored, judges, fresh)
-    _of_a_lasting_force(page, stored, nominal, late, judges)
-    page.text("## Each design over the published one")
-    ratios = {
-        name: {k: np.round(np.divide(getattr(each, k), getattr(published, k)), 2) for k in NUMBERS}
-        for name, each in designs.items()
-    }
-    page.show(pd.DataFrame(ratios).drop(columns="published"))
-
-
-def _of_the_delay(page, designs: Mapping[str, JointDesign]) -> None:
-    page.text("""## The delay
-
-Processor and amplifier delay the whole control force. The largest peak (dB), where the observer includes the delay and where it
-does not:""")
-    places = {
-        "no delay": (0.0, 0.0),
-        f"{DELAY} samples": (DELAY, DELAY),
-        "2 samples": (2.0, 2.0),
-        "2 samples, not in observer": (2.0, 0.0),
-    }
-    peaks = pd.DataFrame(
-        {
-            place: {name: judge(each, [stage()], *where).peaks.max() for name, each in designs.items()}
-            for place, where in places.items()
-        }
-    )
-    page.show(peaks.T.round(1).replace(np.inf, "unstable"))
-    page.check("motion.section-7-3.late-peak", peaks.loc["published", f"{DELAY} samples"])
-    untold = peaks["2 samples, not in observer"] - peaks["2 samples"]
-    page.check("motion.section-7-3.late-untold", untold["published"])
-
-
-def _of_each_freedom(page, stored: Mapping[str, Stored], nominal: Mapping[str, Judged], late: Judged) -> None:
-    page.text("""## What each additional freedom gains
-
-Each search solves linear programs in a trust region. The searches began at the published design at half its bandwidth, at random
-ones around it, and where those for smaller errors had ended. Each on its nominal stage; *10 nm/N* limits what 1 N leaves after
-100 ms:""")
-    rows = {
-        name: {
-            "error (nm)": 1e9 * found.error[0],
-            "of it noise": 1e9 * found.noise[0],
-            "peak (dB)": found.peaks.max(),
-            "crossing (Hz)": crossing_hz(stored[name].design),
-            "force (mN)": 1e3 * found.force[0],
-            "left (nm/N)": 1e9 * found.left[0],
-            "starts kept": f"{len(stored[name].ends)} of {stored[name].started}",
-            "ended (nm)": ", ".join(f"{1e9 * e:.2f}" for e in stored[name].ends),
-            "at a bound": ", ".join(at_bounds(stored[name].design)),
-        }
-        for name, found in nominal.items()
-    }
-    page.show(pd.DataFrame(rows).T, float_format="{:.2f}".format)
-    error = {name: 1e9 * found.error[0] for name, found in nominal.items()}
-    below = [error[f"joint, for {s:.0%}"] < error[f"two steps, for {s:.0%}"] for s in SIZES]
-    page.check("motion.section-7-3.joint-below-two-steps", float(np.mean(below)))
-    page.check("motion.section-7-3.joint-force", nominal["joint, for 5%"].force[0] / late.force[0])
-    again = search(Problem(stored["joint, for 0%"].design, NUMBERS, [stage()]))
-    lower = 1 - 1e9 * again.error / error["joint, for 0%"]
-    page.show(f"a search from the joint design, for 0%, ends {lower:.1%} lower")
-
-
-def _of_the_laws(
-    page, designs: Mapping[str, JointDesign], fresh: Mapping, law_plants: int, fresh_seed: int
-) -> None:
-    page.text("## Share of stages with stable loops, by law of the errors")
-    shares = {
-        f"ends, {s:.0%}": {name: found.stable.mean() for name, found in row.items()}
-        for s, row in fresh.items()
-    }
-    for law in LAWS[1:]:
-        for size in fresh:
-            others = sample_plants(size, law_plants, fresh_seed, law)
-            shares[f"{law}, {size:.0%}"] = {
-                name: stable_on(each, others).mean() for name, each in designs.items()
-            }
-    page.show(pd.DataFrame(shares), float_format="{:.0%}".format)
 
 
 def _of_fresh_stages(page, stored: Mapping[str, Stored], judges: Mapping, fresh: Mapping) -> None:
@@ -830,22 +734,6 @@ the fresh stages, with the gains refitted there and with those of the nominal st
         error=table["median, refitted"].iloc[-1],
         gains=table["median, nominal gains"].iloc[-1],
     )
-
-
-def _of_a_lasting_force(page, stored, nominal: Mapping[str, Judged], late: Judged, judges: Mapping) -> None:
-    page.text("""## A force that lasts
-
-White noise does not show how slowly a loop recovers: without a limit the search takes the integral action away.""")
-    forgets = {size: f"joint, for {size:.0%}, {1e9 * LEFT_LIMIT:g} nm/N" for size in SIZES}
-    page.check("motion.section-7-3.step-left", 1e9 * nominal["joint, for 5%"].left[0])
-    page.check("motion.section-7-3.step-left-published", 1e9 * late.left[0])
-    for claim, (size, name) in zip(("nominal", "two-percent", "five-percent"), forgets.items(), strict=True):
-        cost = nominal[name].error[0] / nominal[f"joint, for {size:.0%}"].error[0] - 1
-        page.check(f"motion.section-7-3.forgetting-costs-{claim}", cost)
-    page.check("motion.section-7-3.forgetting-left", max(1e9 * nominal[n].left[0] for n in forgets.values()))
-    page.check("motion.section-7-3.forgetting-error", 1e9 * nominal[forgets[0.05]].error[0])
-    kept = [judge(stored[forgets[size]].design, plants).feasible.mean() for size, plants in judges.items()]
-    page.check("motion.section-7-3.forgetting-keeps", min(kept))
 
 
 def crossing_hz(design: JointDesign) -> float:

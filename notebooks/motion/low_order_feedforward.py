@@ -15,8 +15,7 @@ from jaxtyping import Float64
 
 from experiments.motion.designs import DESIGNS, stage_bandwidth, stage_compensator
 from experiments.motion.machines import published_setpoint, stage
-from experiments.motion.pictures import CASES, paint_errors
-from experiments.motion.uncertainty import perturbed, sample_errors
+from experiments.motion.pictures import paint_errors
 from stillwork.control.feedforward import (
     BASIS,
     Feedforward,
@@ -28,11 +27,10 @@ from stillwork.control.feedforward import (
 )
 from stillwork.control.loops import channel, closed_loop
 from stillwork.control.setpoint import Setpoint
-from stillwork.lti.modal import ModalModel
 from stillwork.lti.simulation import simulate
 from stillwork.lti.state_space import StateModel, interconnect
 from stillwork.signals.moving_average import rms
-from workbook import figures, run_study
+from workbook import figures
 
 
 def direct_loop(loop: StateModel) -> StateModel:
@@ -142,34 +140,6 @@ def pick_poles(
         found.append(min(fitting, key=lambda each: np.sum(responses.error(each) ** 2)))
 
 
-def perturbed_trial(
-    rng: np.random.Generator,
-    plant: ModalModel,
-    compensator: StateModel,
-    controller: StateModel,
-    setpoint: Setpoint,
-    copied: Feedforward,
-    candidates: Mapping[str, LowOrder],
-    size: float,
-) -> dict[str, float]:
-    """Rms of the true error in the scan (m) of every feedforward on one perturbed plant; a trial of a study.
-
-    Every feedforward meets the plant twice: with the gains that were found on the nominal plant, and with gains
-    tuned again on this one (poles and observer copy stay), as the data-based tuning does. The flexible modes err by
-    `size`; mass and place of the sensor are known. `copied` are the gains in front of the observer copy.
-    """
-    loop = closed_loop(perturbed(plant, sample_errors(rng, plant, size)), compensator, controller)
-    direct, hidden = (MoveResponses(each(loop), setpoint) for each in (direct_loop, error_loop))
-    found = {
-        "observer copy, kept": hidden.error(LowOrder(copied)),
-        "observer copy, tuned": hidden.error(hidden.fit()),
-    }
-    for name, each in candidates.items():
-        found[f"{name}, kept"] = direct.error(each)
-        found[f"{name}, tuned"] = direct.error(direct.fit(each.poles))
-    return {name: rms(error[setpoint.scanning]) for name, error in found.items()}
-
-
 def paint_errors_over_order(
     low: Mapping[str, Sequence[tuple[int, float]]],
     copies: Mapping[str, tuple[int, float]],
@@ -207,41 +177,13 @@ def paint_errors_over_order(
     return figure
 
 
-def paint_errors_over_plants(studies: Mapping[str, Mapping[str, np.ndarray]]):
-    """Rms errors of MC and AD over perturbed plants, kept gains beside gains tuned again; one panel a size of the errors."""
-    from matplotlib.ticker import FixedLocator, NullFormatter, ScalarFormatter
-
-    figure, axes = figures.new(1, len(studies), height=3.4, sharex=True, sharey=True, squeeze=False)
-    for axis, (title, study) in zip(axes[0], studies.items(), strict=True):
-        names = list(dict.fromkeys(key.rpartition(",")[0] for key in study))
-        for offset, how, fill in ((0.12, "kept", "white"), (-0.12, "tuned", CASES["MC and AD"])):
-            values = [1e9 * np.asarray(study[f"{name}, {how}"]) for name in names]
-            low, middle, high = (np.array([np.quantile(v, q) for v in values]) for q in (0.025, 0.5, 0.975))
-            rows = np.arange(len(names))[::-1] + offset
-            style = {"fmt": "o", "markersize": 4, "markerfacecolor": fill, "color": CASES["MC and AD"]}
-            style["label"] = "gains of the nominal plant" if how == "kept" else "gains tuned on each plant"
-            axis.errorbar(middle, rows, xerr=[middle - low, high - middle], capsize=3, **style)
-        axis.set_yticks(np.arange(len(names))[::-1], names)
-        axis.set_xscale("log")
-        axis.xaxis.set_major_locator(FixedLocator([0.5, 1, 2, 5, 10, 20, 50]))
-        axis.xaxis.set_major_formatter(ScalarFormatter())
-        axis.xaxis.set_minor_formatter(NullFormatter())
-        axis.set(title=title.replace("%", " %"), xlabel="rms error in the scan (nm)")
-    figures.legend_below(axes[0, 0], 2)
-    return figure
-
-
 # === The appendix =================================================================================================
 
 
 def appendix(
     page,
     *,
-    plant: ModalModel,
-    blocks: Mapping[str, StateModel],
-    controllers: Mapping[str, StateModel],
     setpoint: Setpoint,
-    original: Feedforward,
     direct: Mapping[str, StateModel],
     found: Mapping[str, Sequence[LowOrder]],
     copied: Mapping[str, tuple[int, float]],
@@ -250,9 +192,6 @@ def appendix(
     alone: Mapping[str, float],
     moves: Mapping[str, Setpoint],
     other: pd.DataFrame,
-    sizes: Sequence[float] | np.ndarray,
-    plants: int,
-    seed: int,
 ) -> None:
     """What the page of motion/28 judges beside its answer."""
     window, rows = setpoint.scanning, {}
@@ -287,45 +226,6 @@ wrong motor constant.""")
         other.loc[f"2 states, {title}"] < other.loc[f"observer copy, {title}"] for title in list(moves)[1:]
     ]
     page.check("motion.section-7-3.two-states-other-moves", float(np.mean(less)))
-    _of_perturbed_stages(page, plant, blocks, controllers, setpoint, original, found, sizes, plants, seed)
-
-
-def _of_perturbed_stages(
-    page, plant, blocks, controllers, setpoint, original, found, sizes, plants, seed
-) -> None:
-    page.text("""## Perturbed stages
-
-Frequency, damping and shapes of the stage's flexible modes deviate; observer, copy and poles stay. The gains stay too, or are tuned
-again on each stage as in the thesis. Dots: medians; bars: central 95 % of stages, for MC and AD. Medians (nm):""")
-    name = "MC and AD"
-    kept = {
-        ("four gains" if each.order == 0 else f"{each.order} states"): each
-        for each in found[name]
-        if each.order in (0, 2, 4)
-    }
-    given = {"plant": plant, "compensator": blocks[name], "controller": controllers[name]}
-    given |= {"setpoint": setpoint, "copied": original, "candidates": kept, "progress": False}
-    studies = {
-        f"off by {size:.0%}": run_study(perturbed_trial, plants, seed, size=size, **given).values
-        for size in sizes
-    }
-    page.save("perturbed", paint_errors_over_plants(studies))
-    medians = {
-        title: {key: 1e9 * np.median(values) for key, values in study.items()}
-        for title, study in studies.items()
-    }
-    page.show(pd.DataFrame(medians).round(2))
-    tuned = [np.mean(study["2 states, tuned"] < study["observer copy, tuned"]) for study in studies.values()]
-    page.check("motion.section-7-3.two-states-perturbed", float(np.mean(tuned)))
-    share = [each["2 states, tuned"] / each["observer copy, tuned"] for each in medians.values()]
-    page.conclude(
-        "So the advantage shrinks: tuned again, two states err {small:.0%} as much as the copy at the smaller errors, {large:.0%} at "
-        "the larger.",
-        "Tuned again, two states err {small:.0%} as much as the copy at the smaller errors, {large:.0%} at the larger.",
-        when=share[0] < share[-1],
-        small=share[0],
-        large=share[-1],
-    )
 
 
 def over_moves(

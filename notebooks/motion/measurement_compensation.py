@@ -176,19 +176,16 @@ def appendix(
     blocks: Mapping[str, StateModel],
     controllers: Mapping[str, Pid],
     sensitivities: Sequence[Mapping[str, tuple]],
-    phases: Mapping[str, tuple],
     cases: Mapping[str, StateModel],
 ) -> None:
     """What this notebook judges beside its answer.
 
-    `low` and `wide` are frequencies (rad/s), `sensitivities` the lines of Fig. 3.6 in its two panels, `phases` those of the
-    lower panel of Fig. 3.12, `cases` the loops of Fig. 3.16.
+    `low` and `wide` are frequencies (rad/s), `sensitivities` the lines of Fig. 3.6 in its two panels, `cases` the loops of Fig. 3.16.
     """
     plant, observer = stage().at([0], [position - 1]), stage_observer(position)
     _of_rigid_estimate(page, plant, observer, blocks["MC"], controllers["PID"], sample_time)
     _of_redesign(page, sensitivities)
     _of_integrators(page, blocks, controllers["PID"], low)
-    _of_departure(page, phases)
     _of_controllers(page, plant, blocks, controllers, low, wide)
     _of_low_frequency(page, cases, plant)
     _of_velocity(page, plant, noise_model, low)
@@ -265,15 +262,6 @@ Static gain $O_{yu}(0)$, and where $|C_{fb}O_{yu}| = 1$ by measured mass.
     page.check(
         "motion.integral-action.theorem-3-2-4", round(float(static / np.abs(with_model).max()), 13)
     )  # rounding is left
-
-
-def _of_departure(page, phases: Mapping[str, tuple]) -> None:
-    page.text(r"""
-## Where the phase leaves -180°, by threshold
-
-In Hz, by threshold in degrees: at 0.03° the order is as printed; from 0.1° on, the high-pass departs after the plant.
-""")
-    page.show(pd.DataFrame(departures(phases, (0.03, 0.1, 0.3, 1.0, 3.0, 10.0))).T.round())
 
 
 def _of_controllers(

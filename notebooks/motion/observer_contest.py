@@ -1,6 +1,5 @@
 """The observer benchmark: figures of its tables, and what the page's appendix computes from them."""
 
-from collections.abc import Callable, Mapping
 from functools import lru_cache
 
 import numpy as np
@@ -15,24 +14,18 @@ from contest.noise_map import (
     crossings,
     flexible_errors,
     leads,
-    map_variants,
 )
 from contest.nominal import OwnObserver
 from contest.plants import PLANTS, plant_of
 from contest.ranking import (
-    MARGIN,
     against,
     block,
-    critical_difference,
     leave_one_out,
     loops,
-    mean_errors,
     robustness,
-    variants,
 )
 from contest.record import record_standings
 from contest.scores import ENTRANTS, Scan, scores_of
-from contest.structured import STRUCTURED
 from contest.tuning import settings_for
 from workbook import figures
 
@@ -212,7 +205,6 @@ Observers get the actuator's voltage, a capacitive and a piezo sensor (or the pi
     page.show(record_standings(recorded), index=False)
     _of_the_map(page, errors)
     _of_a_part_again(page, table, errors, seeds)
-    _of_statements(page, table, names)
 
 
 def _of_the_table(page, table: pd.DataFrame, flexible, names: list[str]) -> None:
@@ -244,7 +236,7 @@ that with the true states.""")
 def _of_the_map(page, errors: pd.DataFrame) -> None:
     page.text("""## The map
 
-Errors of 5 %, then medians of all cells, and the leads over the thesis's Kalman filter, which has no setting:""")
+Errors of 5 %, then medians of all cells:""")
     page.save("noise", paint_noise(errors, 0.05))
     medians = errors.groupby(["size", "noise"])[list(MAPPED)].median()
     page.show(medians.round(2))
@@ -256,26 +248,6 @@ Errors of 5 %, then medians of all cells, and the leads over the thesis's Kalman
         small=small,
         large=large,
     )
-    page.save("leads-over-kalman", paint_leads(errors, "Kalman"))
-    found = leads(errors)
-    sure = found[(found["low"] > 0) & (found["error at most"] < SAYING)]
-    kinds = {
-        "ahead": sure,
-        "by 0.05": sure[sure["lead"] > 0.05],
-        "behind": found[found["high"] < 0],
-    }
-    counts = {kind: some["entrant"].value_counts() for kind, some in kinds.items()}
-    page.show(pd.DataFrame(counts).fillna(0).astype(int))
-    page.text("""The noise from which on one is ahead of another (0: at the quietest sensor already; infinite: never); *crosses*: share
-of resampled maps in which the order changes.""")
-    for one, other in (
-        (ROBUST[0], "Kalman"),
-        ("Kalman", ROBUST[1]),
-        (ROBUST[0], "fictitious noise"),
-        ("fictitious noise", ROBUST[1]),
-    ):
-        line = crossings(errors, ahead_of(one, other)).set_index("size")
-        page.show(f"{one} before {other}", line.map(lambda x: float(f"{x:.2g}")))
 
 
 def _of_a_part_again(page, table: pd.DataFrame, errors: pd.DataFrame, seeds: int) -> None:
@@ -291,136 +263,3 @@ def _of_a_part_again(page, table: pd.DataFrame, errors: pd.DataFrame, seeds: int
     observers = {"Kalman": OwnObserver(ENTRANTS["Kalman"])}
     mapped = flexible_errors(plant_of("stage"), 0.05, 1.0, PUBLIC, range(len(kept)), observers)["Kalman"]
     page.check("motion.contest.map-again", np.abs(mapped / kept - 1).max())
-
-
-LEARNING = ["extended Kalman", "unscented Kalman"]
-
-
-def _of_statements(page, table: pd.DataFrame, names: list[str]) -> None:
-    page.text("""## The statements of the page
-
-With any one machine left out, on each public number and with each tuning alone; those on the map on each public number, with both
-tunings and with each alone: in how many of these each holds.""")
-    of_table = table_statements(names)
-    held = pd.DataFrame(
-        {
-            name: {each: bool(true(some)) for each, true in of_table.items()}
-            for name, some in variants(table).items()
-        }
-    )
-    of_map = map_statements()
-    on_maps = pd.DataFrame(
-        {
-            name: {each: bool(true(some)) for each, true in of_map.items()}
-            for name, some in map_variants().items()
-        }
-    )
-    page.show(
-        *(f"{name}: {row.sum()} of {row.size}" for each in (held, on_maps) for name, row in each.iterrows())
-    )
-    page.check("motion.contest.statements", np.mean([*held.all(axis=1), *on_maps.all(axis=1)]))
-
-
-def table_statements(names: list[str]) -> Mapping[str, Callable[[pd.DataFrame], bool]]:
-    """Statements about the table, of these observers, each a function of a table."""
-    behind_it = ["disturbance observer", "learned", "fictitious noise", *STRUCTURED]
-    holding = ["set membership", "unknown input", "Schmidt-Kalman", *LEARNING, "particles"]
-    return {
-        "three filters are among the first six": lambda some: (
-            {"Schmidt-Kalman", *LEARNING} <= set(_mean_rank(some).nsmallest(6).index)
-        ),
-        "five more stand before the Kalman filter": lambda some: (
-            _mean_rank(some)[behind_it] < _mean_rank(some)["Kalman"]
-        ).all(),
-        "none is proven better than the Kalman filter": lambda some: (
-            _mean_rank(some)["Kalman"] - _mean_rank(some).min()
-            < critical_difference(block(some, "flexible"))[1]
-        ),
-        "filters that learn are often better and often worse": lambda some: all(
-            np.mean(_over_cells(some, name) < -MARGIN) > 0.4
-            and np.mean(_over_cells(some, name) > MARGIN) > 0.2
-            for name in LEARNING
-        ),
-        "late samples deceive them": lambda some: (
-            _late(some, names)[LEARNING] > _late(some, names)["Kalman"]
-        ).all(),
-        "the thesis's two are level with the Kalman filter": _robust_level,
-        "set membership errs more than zero": lambda some: (
-            mean_errors(block(some, "flexible"))["set membership"] > 1
-        ),
-        "and loses one loop in ten at most, as others do": lambda some: (
-            loops(some).loc[holding, "unstable loops"] <= 1 / 10
-        ).all(),
-        "the Kalman filter more than one in five": lambda some: (
-            loops(some).loc["Kalman", "unstable loops"] > 1 / 5
-        ),
-        "half of them or more only after the force": lambda some: _lost_late(some) > 1 / 2,
-        "and allows less than 0.6 of the bandwidth": lambda some: (
-            loops(some).loc["Kalman", "bandwidth"] < 0.6
-        ),
-    }
-
-
-def map_statements() -> Mapping[str, Callable[[pd.DataFrame], bool]]:
-    """Statements about the map, each a function of a map."""
-    return {
-        "a line that falls with the size of the errors": lambda some: (
-            line_of(some).loc[:0.05, "noise"].is_monotonic_decreasing
-            and (line_of(some).loc[:0.05, "crosses"] > 0.8).all()
-        ),
-        "none at 10 %": lambda some: line_of(some).loc[0.1, "noise"] == 0,
-        "the regularised one loses its lead": lambda some: (_regularised(some) < 0.001).all(),
-        "and nears zero": lambda some: (
-            crossings(some, ahead_of(SAYING, ROBUST[1]))
-            .set_index("size")
-            .loc[[0.05, 0.1], "noise"]
-            .between(2.5, 8.5)
-            .all()
-        ),
-        "nowhere is Kalman ahead of both": lambda some: (
-            not leads(some).query("high < 0 and entrant in @ROBUST").duplicated(["size", "noise"]).any()
-        ),
-        "fictitious noise leads where errors and noise are small": _fictitious_leads,
-    }
-
-
-def _mean_rank(some: pd.DataFrame) -> pd.Series:
-    of = block(some, "flexible")
-    return pd.Series(of.relative_ranks.mean(axis=(0, 1)), index=list(of.entrants))
-
-
-def _over_cells(some: pd.DataFrame, name: str) -> np.ndarray:
-    of = block(some, "flexible")
-    medians = np.median(np.minimum(of.values, 1e6), axis=1)
-    return medians[:, of.entrants.index(name)] - medians[:, of.entrants.index("Kalman")]
-
-
-def _robust_level(some: pd.DataFrame) -> bool:
-    of = block(some, "flexible")
-    capped = np.minimum(of.values, 2)
-    lead = of.by_plant(capped - capped[:, :, [of.entrants.index("Kalman")]]).mean(axis=(0, 1))
-    medians = against(of)["median"]
-    return all(max(abs(lead[of.entrants.index(name)]), abs(medians[name])) < MARGIN for name in ROBUST)
-
-
-def _lost_late(some: pd.DataFrame) -> float:
-    early, late = (
-        np.isinf(block(some, each, ["Kalman"]).values).mean() for each in ("tracking", "rejection")
-    )
-    return 1 - early / late
-
-
-def _late(some: pd.DataFrame, names: list[str]) -> pd.Series:
-    rows = some[(some["score"] == "flexible") & (some["uncertainty"] == "delay")]
-    return rows.groupby("plant")[names].median().median()
-
-
-def _regularised(some: pd.DataFrame) -> pd.Series:
-    cell = leads(some).set_index(["entrant", "size", "noise"])["lead"]
-    return cell[ROBUST[1]].loc[[0.05, 0.1]].loc[pd.IndexSlice[:, 100:]]
-
-
-def _fictitious_leads(some: pd.DataFrame) -> bool:
-    cell = leads(some).pivot(index=["size", "noise"], columns="entrant", values="lead")
-    small = cell.loc[(slice(0, 0.05), slice(1, 3)), :]
-    return bool((small["fictitious noise"] > small[list(ROBUST)].max(axis=1)).all())

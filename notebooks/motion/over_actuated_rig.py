@@ -19,10 +19,8 @@ from experiments.motion.rig import (
     POSITIONS,
     Geometry,
     assumed_geometry,
-    excitation,
     plate_modes,
     published,
-    rig_model,
 )
 from experiments.motion.rig_designs import (
     CASES,
@@ -325,7 +323,6 @@ def appendix(
     records: Mapping,
 ) -> None:
     """What the page of motion/24 judges beside its answer."""
-    _of_excitation(page, geometry)
     _of_the_plants(page, shown)
     _of_the_slope(page, geometry, settings, errors)
     _of_the_gain(page, geometry, settings, errors, loops)
@@ -340,31 +337,6 @@ def appendix(
     page.show(pd.DataFrame(rows).T)
     _of_the_noise_model(page, geometry, settings, errors, loops["Original"], measure)
     _of_levelling(page, settings, loops, designs[measure], trajectory, records)
-
-
-def _of_excitation(page, geometry: Geometry) -> None:
-    page.text("""## Table 6.1, and what a unit command does to each mode
-
-"The symmetric layout of the four actuators results in very small excitations": on a plate this holds for the twisting modes only.""")
-    model = rig_model(geometry)
-    three, four = (np.abs(excitation(geometry, used)).max(axis=1) for used in (geometry.used, (0, 1, 2, 3)))
-    columns = {
-        "frequency (Hz)": model.frequencies[3:11] / (2 * np.pi),
-        "damping ratio": model.damping[3:11],
-        "excited by three (1/sqrt(kg))": three,
-        "by four": four,
-    }
-    page.show(pd.DataFrame(columns, index=pd.RangeIndex(1, 9, name="mode")).round(4))
-    page.conclude(
-        "Remarks 6.1.1 and 6.4.1 explain the low bandwidths by the three actuators' layout. This fits: they excite the first mode, "
-        "whose peak stands above the crossing, by {three:.2f} per unit command, four actuators by {four:.2f}. The design for "
-        "limited stiffness, and the controller of one parameter, which the remarks blame as well, are part of every case here.",
-        "Remarks 6.1.1 and 6.4.1 explain the low bandwidths by the three actuators' layout, but these excite the first mode by "
-        "{three:.2f} per unit command and four by {four:.2f}.",
-        when=three[0] > 2 * four[0],
-        three=three[0],
-        four=four[0],
-    )
 
 
 def _of_the_plants(page, shown: Mapping[str, list[RigLoop]]) -> None:

@@ -8,7 +8,7 @@ import pandas as pd
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from experiments.motion.designs import DAMPING, RETAINED, Design
+from experiments.motion.designs import DAMPING, Design
 from experiments.motion.machines import shapes_along, stage, stage_mass
 from experiments.motion.pictures import (
     LABELS,
@@ -21,11 +21,10 @@ from experiments.motion.pictures import (
     paint_magnitudes,
     plain,
 )
-from experiments.motion.position_dependence import GainTable, at_place, compensator_at, stage_grid
+from experiments.motion.position_dependence import at_place, compensator_at, stage_grid
 from experiments.motion.scan_study import along_scan
 from stillwork.control.applications import Application
 from stillwork.control.bandwidth import Loop, make_loop
-from stillwork.control.discrete_damping import discrete_damping_gain, sampled_feedback
 from stillwork.control.pid import Pid, PidFamily
 from stillwork.estimation.observer import NoiseIntensities
 from stillwork.estimation.robust import kalman_gains
@@ -52,23 +51,6 @@ def place_loops(
         make_loop(at_place(plant, grid, place), compensator_at(plant, grid, place, design), **response_grid)
         for place in np.asarray(places, float).tolist()
     ]
-
-
-def damping_along(
-    plant: ModalModel, grid: ArrayLike, places: ArrayLike, increase: float | ArrayLike, sample_time: float
-) -> Float64[np.ndarray, "places 1 states"]:
-    """Discrete damping gains (4.3) of an actuator that moves along the structure, solved at every place."""
-    models = (at_place(plant, grid, place, "actuator") for place in np.asarray(places, float).tolist())
-    return np.array(
-        [discrete_damping_gain(model.modes(slice(0, RETAINED)), increase, sample_time) for model in models]
-    )
-
-
-def damping_table(
-    plant: ModalModel, grid: ArrayLike, places: ArrayLike, increase: float | ArrayLike, sample_time: float
-) -> GainTable:
-    """The same gains computed beforehand on a grid of places without a node, for linear interpolation."""
-    return GainTable(np.asarray(places, float), damping_along(plant, grid, places, increase, sample_time))
 
 
 AMPLITUDE = 0.01  # N, of the force
@@ -287,7 +269,6 @@ def appendix(
     runs: Mapping[str, Sequence[Passage]],
     left_at: float,
     noise_model: float,
-    sample_time: float,
 ) -> None:
     """What the page of motion/15 judges beside its answer."""
     controller = next(iter(controllers.values()))
@@ -299,7 +280,6 @@ def appendix(
     _of_damping(page, loops, controller, table, damped, highest(bare.axes[0], 300)[:, 1])
     _of_both(page, plant, grid, loops, controllers, noise_model)
     _of_the_node(page, runs, left_at)
-    _of_the_actuator(page, plant, grid, sample_time)
 
 
 def _of_the_bare_loop(page, bare, controller: Pid) -> None:
@@ -461,46 +441,3 @@ def errors_past(
         one = pass_node(known, grid, track, 1, noise, sample_time)
         worst[speed] = one.worst(wait, wait + 2 * reach / speed + 0.05)
     return pd.Series(worst)
-
-
-def _of_the_actuator(page, plant: ModalModel, grid: np.ndarray, sample_time: float) -> None:
-    page.text(r"""## A damping gain that follows the actuator
-
-When the actuator moves, the gain follows, solved at every sample or taken from a table:
-
-$$\lambda\big(A^d + B^d(r_p)\,K^d(r_p)\big) = e^{p^*T_s},\qquad K_i^d(r_p) \sim \frac1{\phi_{ai}(r_p)} \tag{4.3}$$
-
-It grows without bound at the nodes.""")
-    track = np.linspace(grid[0], grid[-1], 601)
-    marks = {mode: nodes(plant, grid, mode) for mode in (1, 2, 3)}
-    near = [np.abs(track[:, None] - mark).min(axis=1) for mark in marks.values()]
-    track = track[np.min(near, axis=0) > 4e-4]
-    gains = damping_along(plant, grid, track, DAMPING, sample_time)[:, 0]
-    figure, axis = figures.new(1, 1, height=2.8)
-    for mode, colour in zip(marks, (figures.BLUE, figures.RED, figures.GREEN), strict=True):
-        velocity = np.abs(gains[:, 2 * mode + 1])
-        axis.semilogy(track, velocity, ".", markersize=2, color=colour, label=f"mode {mode}")
-        for place in marks[mode]:
-            axis.axvline(place, color=colour, linewidth=0.8, linestyle=":")
-    axis.plot([], [], ":", color=figures.GREY, linewidth=0.8, label="node")
-    axis.set(xlabel="place of the actuator (m)", ylabel="gain on the velocity (N s/m/√kg)")
-    axis.legend()
-    page.save("moving-actuator", figure)
-    page.text(
-        """The largest error of the damping ratios between two nodes, with a linearly interpolated table, by its spacing:"""
-    )
-    clear = (0.02, 0.09)
-    fine = np.linspace(*clear, 71)
-    target = plant.damping[1:4] + DAMPING
-    rows = {}
-    for count in (3, 5, 8, 15, 29):
-        table = damping_table(plant, grid, np.linspace(*clear, count), DAMPING, sample_time)
-        reached = [
-            sampled_feedback(
-                at_place(plant, grid, place, "actuator").modes(slice(0, 4)), gain, sample_time
-            ).damping[1:]
-            for place, gain in zip(fine, table.at(fine), strict=True)
-        ]
-        spacing = 1e3 * (clear[1] - clear[0]) / (count - 1)
-        rows[f"{spacing:.1f} mm"] = np.abs(np.array(reached) - target).max(axis=0)
-    page.show(pd.DataFrame(rows, index=["mode 1", "mode 2", "mode 3"]).T.round(5))

@@ -397,8 +397,6 @@ def appendix(
     fit: ModalMatrixFit,
     excitation: float,
     averages: int,
-    band_hz: tuple[float, float],
-    wide_hz: float,
     seed: int,
 ) -> None:
     """What the page of motion/26 shows beside its answer."""
@@ -424,7 +422,6 @@ Spread over the realisations over the least deviation under this noise; it is la
         "not rank one": fit.rank_one.round(4),
     }
     page.show(pd.DataFrame(columns, index=pd.RangeIndex(1, 9, name="mode")))
-    _of_residues(page, geometry, settings, estimate, fit, band_hz, wide_hz)
     page.text("""## Bandwidths with the identified model
 
 Observers from the identified model, from exact frequencies, and from frequencies off by the assumed half per cent.""")
@@ -441,43 +438,6 @@ Observers from the identified model, from exact frequencies, and from frequencie
         for name, given in models.items()
     }
     page.show(pd.DataFrame(reached))
-
-
-def _of_residues(
-    page, geometry, settings, estimate: ResponseMatrix, fit: ModalMatrixFit, band_hz, wide_hz
-) -> None:
-    page.text("""## Residues and compliance
-
-Errors of the residues, and of the compliance of the modes above the band. A wider band leaves a larger truncation error, a narrower
-one more noise. "From noise": the standard deviation of all entries together.""")
-    truth = rig_model(geometry)
-    apart = {}
-    for k in range(3, 11):
-        found, exact = (
-            np.outer(each.output_shapes[:, k], each.input_shapes[k]) for each in (fit.model, truth)
-        )
-        apart[f"mode {k - 2}"] = f"{np.linalg.norm(found - exact) / np.linalg.norm(exact):.2%}"
-    page.show(pd.Series(apart))
-    compliance = truth.modes(slice(11, None)).compliance()
-    size, ends, (low_hz, high_hz) = np.linalg.norm(compliance), {}, band_hz
-    lines = (estimate.omega > 2 * np.pi * low_hz) & (estimate.omega < 2 * np.pi * wide_hz)
-    wide = fit_modal_matrix(
-        estimate.omega[lines],
-        estimate.response[lines],
-        smoothed_deviation(estimate)[lines],
-        len(fit.deviation),
-        settings.sample_time,
-        3,
-    )
-    for top, each in ((high_hz, fit), (wide_hz, wide)):
-        ends[f"band to {top:g} Hz"] = {
-            "error of the compliance": f"{np.linalg.norm(each.model.feedthrough - compliance) / size:.0%}",
-            "from noise": f"{each.compliance_deviation * np.sqrt(compliance.size) / size:.0%}",
-            "misfit": f"{each.misfit:.3f}",
-        }
-    page.show(pd.DataFrame(ends).T)
-    above = ", ".join(f"{w / (2 * np.pi):.0f}" for w in truth.frequencies[11:])
-    page.show(f"modes above the band (Hz): {above}")
 
 
 def paint_bias(counts: Sequence[int], errors: dict[str, list[float]]):

@@ -30,7 +30,7 @@ from stillwork.base.checks import InputError
 from stillwork.base.validation import checked
 from stillwork.control.pid import Pid
 from stillwork.estimation.observer import NoiseIntensities
-from workbook import figures, proportion_interval
+from workbook import figures
 from workbook.claims import load_entries
 from workbook.studies import Study, fraction
 
@@ -200,43 +200,10 @@ def ordered(crossing: np.ndarray) -> dict[str, np.ndarray]:
 def appendix(page, *, study: Study, measure: str, ratios: Mapping[str, Mapping[str, np.ndarray]]) -> None:
     """What the page of motion/25 judges beside its answer."""
     which = MEASURES.index(measure)
-    both = {name: study["crossing"][:, k] for k, name in enumerate(MEASURES)}
-    _of_bandwidths(page, study, both, measure)
     _of_limits(page, study, which)
     _of_peaks(page, study)
     _of_coupling(page, study)
     _of_errors(page, study, which, ratios)
-    _of_printed_bandwidths(page, study, both, ratios)
-
-
-def _of_bandwidths(page, study: Study, both: Mapping[str, np.ndarray], measure: str) -> None:
-    page.text("""## Bandwidths under both measures of 6 dB
-
-Number of designs, least, largest and median bandwidth (Hz); then the order over all geometries (a case without a feasible bandwidth
-exceeds none), and over those with all designs:""")
-    rows = {}
-    for name, each in both.items():
-        for k, case in enumerate(CASES):
-            spread = {
-                f"{direction} (Hz)": "{:.1f} to {:.1f}, median {:.1f}".format(
-                    *np.nanquantile(each[:, k, d], [0, 1, 0.5])
-                )
-                for d, direction in enumerate(DIRECTIONS)
-            }
-            rows[f"{name}, {case}"] = {"designs": int(np.isfinite(each[:, k, 0]).sum())} | spread
-    page.show(pd.DataFrame(rows).T)
-    missing = ~np.isfinite(both[measure][:, CASES.index("AD"), 0])
-    ranks = 1 + np.argsort(np.argsort(study["mass"]))
-    page.show(f"plates without a design for AD, by rank of mass (1: the lightest): {np.sort(ranks[missing])}")
-    rows = {}
-    for name, each in both.items():
-        complete = np.isfinite(each).all(axis=(1, 2))
-        for label, holds in ordered(each).items():
-            low, high = proportion_interval(holds.sum(), len(holds))
-            rows.setdefault(label, {})[name] = f"{holds.mean():.0%} ({low:.0%} to {high:.0%})"
-            share = f"{holds[complete].mean():.0%} of {complete.sum()}"
-            rows[label][f"{name}, of those with all designs"] = share
-    page.show(pd.DataFrame(rows).T)
 
 
 def _of_limits(page, study: Study, which: int) -> None:
@@ -333,47 +300,6 @@ Stable loops of each case; the share of the plates that are below the published 
     page.check("motion.section-7-2.factor-three", *fraction(factor))
     below = np.all(errors["6-4"][:, 2] < errors["6-4"][:, 1], axis=1)
     page.check("motion.table-6-4.ad-below-mc", *fraction(below))
-
-
-def _of_printed_bandwidths(page, study: Study, both: Mapping, ratios: Mapping) -> None:
-    page.text(r"""## At the printed bandwidths
-
-The plates miss or exceed the bandwidths of Table 6.2. With the printed ones, and errors read by encoders with a noise floor $n$ (a
-tilt as the motion of an edge), Table 6.4 has medians over the geometries of
-
-$$\frac{\sqrt{\mathrm{rms}(e)^2 + n^2}}{\sqrt{\mathrm{rms}(e_0)^2 + n^2}} .$$
-
-Then how many medians lie within 5, 15 and 25 % of the published numbers, one choice changed at a time:""")
-    level = {table: printed(f"table-{table}.ratio", CASES[1:]) for table in ("6-3", "6-4")}
-    own = np.stack([ratios["6-4"][case] for case in CASES[1:]], axis=1)
-    found = {"at their own limits": own}
-    for name, floor in (("printed", 0.0), ("and 10 nm", 1e-8), ("and 20 nm", 2e-8)):
-        seen = np.hypot(study["printed"], floor / study["edges"][:, None, None, :])
-        found[name] = seen[:, 1, 1:] / seen[:, 0, :1]
-    columns = {name: np.nanmedian(each, axis=0).ravel() for name, each in found.items()}
-    published = np.ravel(list(level["6-4"].values()))
-    rows = [f"{case}, {direction}" for case in CASES[1:] for direction in DIRECTIONS]
-    page.show(pd.DataFrame({"published": published} | columns, index=rows).round(3))
-    pairs = {f"Table 6.4, {name}": (each, published) for name, each in columns.items()}
-    bandwidths_hz = np.ravel(list(printed("table-6-2").values()))
-    for name, each in both.items():
-        pairs[f"Table 6.2, {name}"] = np.nanmedian(each, axis=0).ravel(), bandwidths_hz
-    with_original = np.ravel([np.nanmedian(each, axis=0) for each in ratios["6-3"].values()])
-    pairs["Table 6.3"] = with_original, np.ravel(list(level["6-3"].values()))
-    near = {
-        name: [np.sum(np.abs(each / marks - 1) < limit) for limit in (0.05, 0.15, 0.25)] + [len(marks)]
-        for name, (each, marks) in pairs.items()
-    }
-    page.show(pd.DataFrame(near, index=["within 5 %", "15 %", "25 %", "of"]).T)
-    nearer = near["Table 6.4, and 10 nm"][2] > near["Table 6.4, at their own limits"][2]
-    page.check("motion.table-6-4.printed-nearer", float(nearer))
-    page.conclude(
-        "With the *printed* bandwidths and a noise floor of 10 nm {many} of {all} ratios of Table 6.4 come within a quarter of the "
-        "published ones, at our own limits {few}.",
-        many=near["Table 6.4, and 10 nm"][2],
-        all=near["Table 6.4, and 10 nm"][3],
-        few=near["Table 6.4, at their own limits"][2],
-    )
 
 
 # === Choices of rig ===============================================================================================

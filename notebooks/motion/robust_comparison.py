@@ -2,7 +2,7 @@
 
 import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, lru_cache
 from typing import NamedTuple
 
@@ -57,7 +57,7 @@ from stillwork.lti.simulation import simulate
 from stillwork.lti.state_space import StateModel
 from stillwork.lti.structured import prove_gain
 from workbook import figures, paths
-from workbook.studies import Study, fraction, proportion_interval, run_study
+from workbook.studies import Study, fraction, run_study
 
 Blocks = Mapping[str, tuple[StateModel | None, StateModel]]  # compensator and controller of each case
 
@@ -634,25 +634,6 @@ def paint_state_errors(
     return figure
 
 
-def paint_penalty(
-    weights: np.ndarray, cases: Mapping[str, tuple[Mapping[str, np.ndarray], Sequence[Errors]]]
-):
-    """Relative error of the flexible states over the penalty's weight, a panel a case, beside the other two filters."""
-    figure, axes = figures.new(1, len(cases), height=3.0, sharex=True)
-    for axis, (case, (others, swept)) in zip(axes, cases.items(), strict=True):
-        costs = [np.median(each.flexible()) for each in swept]
-        name = "sensitivity penalised"
-        axis.semilogx(weights, costs, "o-", markersize=3, color=COLOURS[name], label=name)
-        for name in ("Kalman", "regularised least squares"):
-            axis.axhline(np.median(others[name]), color=COLOURS[name], ls="--", linewidth=1.2, label=name)
-        axis.axhline(1, color=figures.BLACK, ls=":", linewidth=0.9, label="estimating zero")
-        axis.set(title=case, xlabel="weight $\\gamma$")
-    axes[0].set(yscale="log", ylabel="relative error of the\nflexible states (median)")
-    axes[1].set_ylim(0, 2)
-    figures.legend_below(axes[0], 4)
-    return figure
-
-
 def paint_statements(
     weights: np.ndarray,
     sweep: Sequence[Errors],
@@ -699,28 +680,6 @@ def spreads(
     ends = [middle - low, high - middle]
     axis.errorbar(middle, places, xerr=ends, fmt="o", color=colour, capsize=3, markersize=4, label=label)
     axis.set_yticks(np.arange(len(rows)), rows)
-
-
-def paint_order(studies: Mapping[str, Mapping[str, np.ndarray]]):
-    """Errors of the flexible states over their size, a panel a law: dots the medians of the pairs, bars their range."""
-    figure, axes = figures.new(1, len(studies), height=2.8, sharex=True, sharey=True)
-    for axis, (law, study) in zip(axes, studies.items(), strict=True):
-        for place, name in enumerate(RANKED):
-            low, middle, high = np.quantile(study[name][:, 0], [0.0, 0.5, 1.0])
-            colour = figures.RED if name in ROBUST else figures.BLUE
-            ends = [[middle - low], [high - middle]]
-            axis.errorbar(
-                middle, place, xerr=ends, fmt="o", color=colour, capsize=3, markersize=4, label=name
-            )
-        axis.axvline(1, color=figures.BLACK, linewidth=0.8)
-        axis.set_title(law)
-    axes[0].set_yticks(range(len(RANKED)), RANKED)
-    axes[0].invert_yaxis()
-    figures.label(axes, "error over true size")
-    for name, colour in (("robust", figures.RED), ("not robust", figures.BLUE)):
-        figure.axes[0].plot([], [], "o", color=colour, markersize=4, label=name)
-    figure.legend(handles=axes[0].lines[-2:], loc="outside lower center", ncols=2)
-    return figure
 
 
 def paint_cases(ahead: Mapping[tuple[str, bool], np.ndarray]):
@@ -967,15 +926,6 @@ def nominal_ratios(seed: int, **settings) -> dict[str, Float64[np.ndarray, " dra
     return perturbed_ratios(NOMINAL_DRAWS, seed, size=0.0, **settings)
 
 
-def first_column(noise_model: float, plants: int, seed: int, **settings) -> Float64[np.ndarray, " plants"]:
-    """MC and AD over AD, both with the original feedback, with Q_nu = `noise_model` (N^2/s) of the observer with MC."""
-    blocks, design = published_blocks(), replace(DESIGNS["MC and AD"], noise_model=noise_model)
-    both = stage_compensator(MEASURED, design), blocks["none"][1]
-    chosen = {"none": blocks["none"], "AD": blocks["AD"], "MC and AD": both}
-    study = run_study(tracking_trial, plants, seed, blocks=chosen, progress=False, **settings)
-    return study["MC and AD"] / study["AD"]
-
-
 PRINTED = dict(  # Table 5.2, per cent of the error without observer, plant perturbed by 5 %
     zip(
         (case for case in CASES if case != "none"),
@@ -1088,9 +1038,7 @@ def stored_tables() -> dict[str, dict[str, Float64[np.ndarray, " plants"]]]:
 # --- Appendix ----------------------------------------------------------------------------------------------------
 
 
-def appendix(
-    page, *, scan, contest, records, errors, calm, calm_records, relative, drawn, **settings
-) -> None:
+def appendix(page, *, scan, contest, records, errors, calm, calm_records, drawn, **settings) -> None:
     """What this notebook judges beside its answer.
 
     Parameters
@@ -1103,70 +1051,31 @@ def appendix(
         Their scans.
     errors : mapping of str to Errors
         Of the three published filters.
-    relative : mapping
-        Their errors of the flexible states over true size, in both cases.
     drawn : mapping
         Table 5.2 by law: medians drawn again and their largest deviations.
     **settings
         Parameters of the notebook.
     """
-    _of_states(page, errors)
-    sweep = _of_the_weight(page, scan, contest, records, errors, settings["gamma"])
+    _of_the_weight(page, scan, contest, records, errors, settings["gamma"])
     _of_the_gain(
         page,
         contest,
         **{name: settings[name] for name in ("plants", "seed", "error_size", "error_law", "rigid_errors")},
     )
-    _of_the_penalty(page, scan, calm, calm_records, relative, sweep)
     _of_lambda(page, calm, calm_records, settings["error_size"])
     stored, tables = stored_orders(), stored_tables()
-    _of_the_order(page, stored)
     _of_stored_runs(page, stored, tables, settings["again"], settings["seed"])
     _of_the_table(page, tables, drawn, nominal_ratios(settings["seed"], sample_time=settings["sample_time"]))
-    _of_the_first_column(page, **settings)
-    _of_sample_times(page, tables[settings["error_law"]], settings["seed"])
     _of_fig_5_11(
         page, settings["seed"], settings["error_size"], settings["error_law"], settings["rigid_errors"]
     )
     _of_all_frequencies(page, settings["error_size"], settings["seed"])
 
 
-def _of_states(page, errors: Mapping[str, Errors]) -> None:
-    page.text("""## Errors of every state
-
-All plants of Fig. 5.10, relative to the true state (dots: medians; bars: central 95 %):""")
-    rows = []
-    for name, each in errors.items():
-        for k in (0, 2, 4):
-            rows.append(
-                {
-                    "filter": name,
-                    "state": f"{STATES[k][0]} position",
-                    "rms (nm)": np.median(each.rms[:, k]) * 1e9,
-                    "bias (nm)": np.median(np.abs(each.bias[:, k])) * 1e9,
-                    "drift (nm)": np.median(np.abs(each.drift[:, k])) * 1e9,
-                    "rms / true": np.median(each.rms[:, k] / each.size[:, k]),
-                    "over the move": np.median(each.move[:, k] / each.move_size[:, k]),
-                }
-            )
-    page.show(pd.DataFrame(rows), index=False, float_format="{:.3g}".format)
-    figure, axis = figures.new(1, 1, height=3.4)
-    looks = zip((-0.2, 0.0, 0.2), PUBLISHED, (figures.RED, figures.GREEN, figures.BLUE), strict=True)
-    for offset, name, colour in looks:
-        samples = [errors[name].rms[:, k] / errors[name].size[:, k] for k in range(6)]
-        spreads(axis, [", ".join(state) for state in STATES], samples, colour, name, offset)
-    axis.axvline(1, color=figures.BLACK, linewidth=0.8)
-    axis.set_xscale("log")
-    axis.set_xlabel("rms error over rms of the true state in the scanning phase (1: no better than zero)")
-    axis.invert_yaxis()
-    figure.legend(loc="outside lower center", ncols=3)
-    page.save("fig-5-10-distribution", figure)
-
-
 WEIGHTS = np.geomspace(1e-26, 1e-6, 41)
 
 
-def _of_the_weight(page, scan, contest, records, errors: Mapping[str, Errors], gamma: float) -> list[Errors]:
+def _of_the_weight(page, scan, contest, records, errors: Mapping[str, Errors], gamma: float) -> None:
     page.text(r"""## The weight of the penalty
 
 $\gamma$ is not published. Over twenty decades: errors of the penalised filter, and the share of plants on which each of four
@@ -1203,7 +1112,6 @@ states over their size, medians:""")
         "penalised, 2e-18": small,
     }
     page.show(*(f"{name}: {np.median(each.flexible()):.3g}" for name, each in flexible.items()))
-    return sweep
 
 
 def _of_the_gain(page, contest: Contest, *, plants, seed, error_size, error_law, rigid_errors) -> None:
@@ -1247,76 +1155,15 @@ On the recorded scans, rms in the scanning phase (nm), median over the plants:""
     )
 
 
-def _of_the_penalty(page, scan, calm: Contest, calm_records: Records, relative: Mapping, sweep) -> None:
-    page.text(r"""## The penalty's weight in both cases
-
-The relative error is the rms over the four flexible states of error over true size; estimating zero gives 1. With an exact rigid
-body the penalised filter errs less than the Kalman filter with the given noise for $\gamma$ below about $10^{-17}$, and so does the
-regularised one. But all three are near 1.""")
-    calm_sweep = [
-        judge(scan, calm_records, run_entrant("sensitivity penalised", calm, weight, calm_records))
-        for weight in WEIGHTS
-    ]
-    panels = {
-        case: (relative[case], swept) for case, swept in zip(relative, (sweep, calm_sweep), strict=True)
-    }
-    page.save("weight-of-the-penalty", paint_penalty(WEIGHTS, panels))
-
-
 def _of_lambda(page, calm: Contest, calm_records: Records, error_size: float) -> None:
     page.text(r"""## The rule of thumb for $\lambda$
 
 At every sample the regularised filter minimises a scalar function over $\lambda\ge\lambda_l$. The thesis uses $2\lambda_l$, because
-the optimum "lies close to the lower bound". It often lies far above:""")
+the optimum "lies close to the lower bound". Judged is the share of samples at which it lies below.""")
     bound = norm_bound(calm.model, calm.derivatives, error_size)
     search = regularised_line_search(calm.model, bound, calm_records.u[0], calm_records.y[0])
-    ratio = np.sort(search.ratio[1:])
-    figure, axis = figures.new(1, 1, height=2.4)
-    axis.semilogx(ratio, np.linspace(0, 1, len(ratio)), label="one scan")
-    axis.axvline(2, color=figures.BLACK, linewidth=0.8)
-    axis.annotate("rule of thumb, 2", (2.1, 0.05))
-    axis.set_xlabel("optimal $\\lambda$ over its lower limit")
-    axis.set_ylabel("fraction of samples")
-    why = "where the criterion is flat, rounding decides on its minimum, a sample a step"
-    page.save("optimal-lambda", figure, rounding={"one scan": why})
     for claim, ours in near_limit(search).items():
         page.check(claim, ours)
-
-
-def _of_the_order(page, stored: Mapping) -> None:
-    page.text("""## The order under each distribution
-
-With an exact rigid body (dots: medians of the 40 pairs; bars: range), errors over true size, and in how many pairs a filter is
-ahead of both robust ones; then medians with a rigid body that errs; then the share of pairs in which the tuned Kalman filter is
-ahead, in parts:""")
-    orders = {law: stored[law, False] for law in LAWS}
-    page.save("order", paint_order(orders))
-    rows, parts, sides = {}, {}, []
-    for law, study in orders.items():
-        pairs = len(study["Kalman"])
-        rows[law] = {
-            name: "{1:.2f} ({0:.2f} to {2:.2f})".format(*np.quantile(study[name][:, 0], [0, 0.5, 1]))
-            for name in RANKED
-        }
-        for name in ("Kalman", "fictitious noise", "Kalman, given noise"):
-            rows[law][f"{name} ahead of both robust"] = f"{kalman_ahead(study, name).sum()} of {pairs}"
-        parts[law] = {name: kalman_ahead(study, part=k).mean() for k, name in enumerate(PARTS)}
-        for name in ROBUST:
-            parts[law][f"against {name} alone"] = np.mean(study["Kalman"][:, 0] <= study[name][:, 0])
-        ahead = kalman_ahead(study)
-        halves = [half.mean() for half in np.array_split(ahead, 2)]
-        parts[law] |= {"first half of the pairs": halves[0], "second half": halves[1]}
-        low, high = proportion_interval(ahead.sum(), pairs)
-        if low > 0.5 or high < 0.5:  # else the law decides nothing
-            sides.append(all((half > 0.5) == (low > 0.5) for half in halves))
-    page.show(pd.DataFrame(rows))
-    page.show(
-        pd.DataFrame({law: {n: np.median(stored[law, True][n][:, 0]) for n in RANKED} for law in LAWS}).round(
-            2
-        )
-    )
-    page.show(pd.DataFrame(parts), float_format="{:.0%}".format)
-    page.check("motion.conclusion-5-4.other-seeds", float(np.mean(sides)))
 
 
 def _of_stored_runs(page, stored: Mapping, tables: Mapping, again: int, seed: int) -> None:
@@ -1364,45 +1211,6 @@ statement holds:""")
             for case, each in table.items()
         ]
         page.show(f"printed values within 95 % of the plants, {law}: {sum(inside)} of {len(inside)}")
-
-
-def _of_the_first_column(page, *, plants, seed, sample_time, error_size, **_) -> None:
-    page.text(r"""## Which $Q_\nu$ has Table 5.2?
-
-Its first column, with the original feedback, prints 1.017 for MC and AD over AD, and 1.011 in brackets. Ours by $Q_\nu$ (medians;
-share of plants above 1):""")
-    columns, medians = {}, {}
-    for noise_model in (0.03, 1.0, 1e3):
-        ratios = {"exact plant": first_column(noise_model, 40, seed, size=0.0, sample_time=sample_time)}
-        for law in list(LAWS)[:2]:
-            ratios[law] = first_column(noise_model, plants, seed, size=error_size, law=law, rigid=True)
-        columns[f"{noise_model:g}"] = {
-            name: f"{np.median(r):.4f} ({np.mean(r > 1):.0%})" for name, r in ratios.items()
-        }
-        medians[noise_model] = {name: float(np.median(each)) for name, each in ratios.items()}
-    page.show(pd.DataFrame(columns))
-    small, large = medians[0.03], medians[1e3]
-    page.conclude(
-        r"Table 5.2's first column has a small $Q_\nu$: at 0.03 N²/s MC with AD errs {exact:.4f} times as much as AD on the exact "
-        "plant and {off:.4f} times with uniform errors (printed 1.0108 and 1.0171); at 1000, which Table 3.7 fits, {large:.3f} "
-        "times. So the two tables differ in it.",
-        when=small["exact plant"] > 1 > large["exact plant"],
-        exact=small["exact plant"],
-        off=small["uniform"],
-        large=large["exact plant"],
-    )
-
-
-def _of_sample_times(page, percent: Mapping, seed: int) -> None:
-    page.text("## Other sample times\n\nThe unperturbed ratios:")
-    columns: dict[str, dict[str, float]] = {}
-    for name, each in {"5 kHz": 2e-4, "10 kHz": 1e-4, "20 kHz": 5e-5, "50 kHz": 2e-5}.items():
-        study = run_study(
-            tracking_trial, 8, seed, blocks=published_blocks(), size=0.0, sample_time=each, progress=False
-        )
-        columns[name] = {case: np.median(100 * study[case] / study["none"]) for case in percent}
-        columns[name]["no observer (nm)"] = np.median(study["none"]) * 1e9
-    page.show(pd.DataFrame(columns).round(1))
 
 
 def _of_fig_5_11(page, seed: int, error_size: float, error_law: str, rigid_errors: bool) -> None:

@@ -4,72 +4,14 @@ from dataclasses import replace
 from itertools import product
 
 import numpy as np
-from jaxtyping import Float64
-from scipy import signal
 
-from experiments.worstcase.measured import paint_windows, residuals_of, window_residuals, windows_of
+from experiments.worstcase.measured import window_residuals, windows_of
 from experiments.worstcase.pairs import MeasuredPair, Spectra, open_pair, residual
 from stillwork.base.checks import require_number
-from stillwork.estimation.linear_fits import total_least_squares
 from stillwork.estimation.min_max import qr_r, solve_sweep
 from stillwork.estimation.recursive import track
 from stillwork.identification.regressors import fir_regressors
 from workbook import figures, paths
-from workbook.studies import run_study
-
-
-def load_blows() -> list[MeasuredPair]:
-    """The shipped hammer blows on a light structure, force and acceleration, one of eight samples kept of 25.6 kHz.
-
-    A blow lasts a millisecond: what the force sensor shows in the second half of its record is noise.
-    """
-    file = paths.data("motion", "impact_frf_25k6/impact_hammer_5_hits.npz")
-    with np.load(file, allow_pickle=False) as archive:
-        force, answer = (signal.decimate(archive[name], 8, ftype="fir") for name in ("force_n", "accel_m_s2"))
-        rate = float(archive["fs_hz"]) / 8
-    noise = float(np.median(force[:, force.shape[1] // 2 :].std(axis=1)))
-    return [MeasuredPair(*blow, rate, (0.0, rate / 2), noise) for blow in zip(force, answer, strict=True)]
-
-
-def blow_trial(
-    rng: np.random.Generator, blows: list[MeasuredPair], taps: int, length: int, noisier: float
-) -> dict[str, Float64[np.ndarray, " pairs"]]:
-    """An FIR model from each blow predicts the others, by a force sensor that noise makes `noisier` times as noisy.
-
-    By method: rms residual over rms output on the first `length` samples, for all ordered pairs of blows.
-    """
-    noise = blows[0].noise
-    added = noise * np.sqrt(require_number("noisier", noisier, at_least=1.0) ** 2 - 1)
-    inputs = (blow.input + added * rng.standard_normal(len(blow.input)) for blow in blows)
-    windows = [
-        (fir_regressors(force, taps)[:, :length].T, each.output[:length])
-        for force, each in zip(inputs, blows, strict=True)
-    ]
-    judged = [(window, windows[:k] + windows[k + 1 :]) for k, window in enumerate(windows)]
-    return residuals_of(judged, replace(blows[0], noise=noisier * noise))
-
-
-def total_trial(
-    rng: np.random.Generator, motion: np.ndarray, noise: float, taps: int, length: int
-) -> dict[str, float]:
-    """Total against plain least squares on a machine that is exactly an FIR filter, with noise on both channels.
-
-    A stretch of `motion` drives a filter of random, fading taps; input and output get white noise of one size, as
-    total least squares presumes. ``total``, ``least``: rms residual over rms output on the window that follows.
-    """
-    start = rng.integers(len(motion) - 2 * length - taps)
-    motion = motion[start : start + 2 * length + taps]
-    response = rng.standard_normal(taps) * np.exp(-np.arange(taps) / 8)
-    output = signal.lfilter(response, 1.0, motion) + noise * rng.standard_normal(len(motion))
-    matrix = fir_regressors(motion + noise * rng.standard_normal(len(motion)), taps)[:, taps:].T
-    output = output[taps:]
-    estimates = {
-        "total": total_least_squares(matrix[:length], output[:length]),
-        "least": np.linalg.lstsq(matrix[:length], output[:length])[0],
-    }
-    return {
-        name: residual(matrix[length:], output[length:], estimate) for name, estimate in estimates.items()
-    }
 
 
 def tracking_residuals(pair: MeasuredPair, taps: int, memories: list[int]) -> dict[str, np.ndarray]:
@@ -201,30 +143,8 @@ def over_models(pair: MeasuredPair, taps: tuple[int, ...], longest: int, most: i
 # === What the notebook judges beside its answer =====================================================================
 
 
-def appendix(
-    page,
-    *,
-    pair: MeasuredPair,
-    found: dict[str, list[np.ndarray]],
-    lengths: list[int],
-    taps: int,
-    noisier: list[float],
-    seed: int,
-) -> None:
-    """What this notebook judges beside its answer.
-
-    Parameters
-    ----------
-    page : workbook.appendix.Appendix
-    pair : MeasuredPair
-    found : dict
-        Residuals of the windows of each of `lengths`, by method.
-    lengths : list of int
-    taps : int
-    noisier : list of float
-        How much noisier the force sensor of the blows is made.
-    seed : int
-    """
+def appendix(page, *, found: dict[str, list[np.ndarray]], lengths: list[int]) -> None:
+    """What this notebook judges beside its answer: `found` has the residuals of the windows of each of `lengths`, by method."""
     page.text(
         "## The windows in numbers\n\nMedian residuals, and the share of windows in which min-max is better."
     )
@@ -236,68 +156,3 @@ def appendix(
         page.show(
             f"beats {other:13s}: " + " ".join(f"{np.mean(ours < theirs):.2f}" for ours, theirs in pairs)
         )
-    page.text("## Was the bound a good one?")
-    factors = np.geomspace(0.05, 5, 17)
-    swept = {length: bound_sweep(pair, taps, length, factors, 20) for length in (64, 320, 3200)}
-    page.save("bound", paint_sweep(factors, swept))
-    _of_total(page, pair, taps, seed)
-    _of_blows(page, pair, taps, noisier, seed)
-
-
-def _of_total(page, pair: MeasuredPair, taps: int, seed: int) -> None:
-    page.text("""## Why total least squares fails
-
-TLS assumes noise of one size on all columns of an exact relation. It fails even where that is true, with an FIR filter of random taps
-driven by the recorded motion. Driven by white noise it nearly equals least squares. With one dominant tone some directions of the
-regressors hold little but noise, and the smallest singular vector points along them.""")
-    rng = np.random.default_rng(seed)
-    motions = {"recorded": pair.input, "white": pair.input.std() * rng.standard_normal(len(pair.input))}
-    for name, motion in motions.items():
-        given = {"motion": motion, "noise": pair.noise, "taps": taps, "length": 1280}
-        study = run_study(total_trial, 30, seed, progress=False, **given)
-        page.show(
-            f"{name:8s} TLS {np.median(study['total']):.2f}, least squares {np.median(study['least']):.2f}"
-        )
-        page.check(f"worstcase.real-record.total-{name}", np.median(study["total"] / study["least"]))
-
-
-def _of_blows(page, pair: MeasuredPair, taps: int, noisier: list[float], seed: int) -> None:
-    page.text("""## A broad-band record
-
-Five hammer blows on a light structure, force and acceleration (from the pyFRF project, MIT licence;
-`data/motion/impact_frf_25k6/SOURCE.md`), are thinned to 3.2 kHz. An FIR model from the first 64 samples of one blow predicts each of
-the others. The force sensor's noise is too small to matter, so we add white noise of known size. At the left end none is added. Twenty
-pairs of blows have six draws of the noise each.""")
-    blows = load_blows()
-    loudest = np.median([each.input.max() for each in blows])
-    page.show(f"force sensor's noise {1e3 * blows[0].noise:.1f} mN, a blow {loudest:.0f} N")
-    for name, each in (("record", pair), ("blow", blows[0])):
-        sizes = np.linalg.svd(fir_regressors(each.input, taps)[:, :64].T, compute_uv=False)
-        page.show(
-            f"{name}: the weakest direction of the first 64 rows is {sizes[-1] / sizes[0]:.1g} of the strongest"
-        )
-    hit = [
-        run_study(blow_trial, 6, seed, blows=blows, taps=taps, length=64, noisier=each, progress=False)
-        for each in noisier
-    ]
-    for factor, study in zip(noisier, hit, strict=True):
-        names = "least squares", "ridge", "min-max, typical bound"
-        numbers = ", ".join(f"{name} {np.median(study[name]):.3f}" for name in names)
-        page.show(f"{factor:3.0f} times the noise: {numbers}")
-    residuals = {name: [study[name].ravel() for study in hit] for name in hit[0].values}
-    page.save(
-        "blows", paint_windows(noisier, residuals, "noise of the force sensor, in multiples of its own")
-    )
-    least, minmax = (np.array(residuals[name]) for name in ("least squares", "min-max, typical bound"))
-    still, share = np.median(minmax[0] / least[0]), np.mean(minmax[1:] < least[1:])
-    page.check("worstcase.real-record.blows", still)
-    page.check("worstcase.real-record.noisy-blows", share)
-    page.conclude(
-        "On the blows, without added noise, min-max has {still:.3f} of the residual of least squares. With more noise it has the "
-        "smaller residual in {share:.0%} of the pairs: no direction of these regressors is weak, so the bound shrinks signal.",
-        "On the blows, without added noise, min-max has {still:.3f} of the residual of least squares; with more noise it has the "
-        "smaller one in {share:.0%} of the pairs.",
-        when=share < 0.5,
-        still=still,
-        share=share,
-    )

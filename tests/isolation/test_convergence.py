@@ -11,8 +11,6 @@ from notebooks.isolation.convergence import (
     Case,
     converge,
     convergence_trial,
-    follow_sideways,
-    narrow_floor,
     printed_algorithms,
     repeat_all,
     settling_times,
@@ -80,17 +78,6 @@ def test_a_short_run_is_judged_by_where_the_weights_settle():
             assert found[key] == pytest.approx(settling_times(course.time_s, course.weights, towards, share))
         assert np.all(found["FeRLS tau 37"] >= found["FeRLS tau"])
     assert np.any(own["FeRLS tau"] != given["FeRLS tau"])
-
-
-@pytest.mark.slow
-def test_sideways_error_follows_the_mean_update():
-    rigid = load_twin("rigid_body")
-    for floor, sign in ((narrow_floor(rigid, 20.0, 24.0), -1), (FLOOR, 1)):
-        course = follow_sideways(rigid, floor, 60.0, 10.0, 2)
-        assert np.sign(course.eigenvalue) == sign
-        assert np.abs(np.log(course.size / course.predicted)).max() < 0.15
-    with pytest.raises(InputError, match="geometry"):
-        follow_sideways(FITTED, FLOOR, 1.0, 10.0, 2)
 
 
 @pytest.mark.slow

@@ -4,29 +4,21 @@ import pytest
 from experiments.isolation.floors import flat_floor
 from experiments.isolation.simulation import simulate, simulate_together
 from experiments.isolation.twin import load_twin
-from naive import cures as naive
 from notebooks.isolation.numerical_stability import (
-    CURES,
     FORMS,
     condition_bounds,
     covariance_run,
     peak_error,
     recur,
-    run_cure,
-    runs_from_diagonal,
     scaled_condition,
     shared_motion,
-    smallest_loop,
     stability_map,
     steady_start,
 )
 from stillwork.base.checks import InputError
-from stillwork.control.isolation_filters import noise_shaping, weak_integrator
 from stillwork.estimation.adaptive import FeRls
 
 FORGETTING = 0.99
-
-PRINTED = load_twin("rigid_body").feedforward
 
 
 def regressors(n=5, samples=2000, seed=0):
@@ -126,46 +118,6 @@ def test_what_an_explorer_watches_is_that_of_the_whole_run(form):
     np.testing.assert_array_equal(lean.asymmetry, whole.asymmetry)
     np.testing.assert_array_equal(lean.largest, whole.largest)
     assert lean.breakdown == whole.breakdown
-
-
-def test_one_motion_breaks_the_triangle_in_float32_and_not_the_factors():
-    psi = shared_motion(1e9, 2000, 0)
-    found = runs_from_diagonal(psi, FORGETTING, ("triangle", "UD"), 30)
-    assert 1 < found["triangle"].breakdown < 30 and np.isinf(found["UD"].breakdown)
-    apart = runs_from_diagonal(shared_motion(2.0, 2000, 0), FORGETTING, ("triangle", "UD"), 30)
-    assert all(np.isinf(run.breakdown) for run in apart.values())
-
-
-def closed_loop(cure, samples=400):
-    rng = np.random.default_rng(2)
-    integrator = weak_integrator(3, 4 * np.pi, 200.0, 2e-4)
-    shaping = noise_shaping(PRINTED.shaping, PRINTED.path, 2e-4)
-    floor = rng.standard_normal((2, samples))
-    floor[1, samples // 3 :] *= 1e-3
-    optimum, start = np.array([0.3, -0.2, 0.5, 1.0]), np.array([0.02, 0.02, 0.5, 0.5])
-    run = run_cure(
-        cure,
-        smallest_loop([(floor, optimum)], integrator, shaping),
-        start,
-        FORGETTING,
-        growth=1.5,
-        keep_every=1,
-    )
-    history, errors = naive.closed_loop(cure, floor, optimum, integrator, shaping, start, FORGETTING, 1.5)
-    return run, history, errors, optimum, start
-
-
-@pytest.mark.parametrize("cure", CURES)
-def test_closed_loop_with_each_cure_is_its_naive_twin(cure):
-    run, history, errors, optimum, start = closed_loop(cure)
-    growth = np.array([np.diag(p) / start for _, p in history])
-    np.testing.assert_allclose(run.growth, growth, rtol=1e-6)
-    np.testing.assert_allclose(run.error_power, errors**2, rtol=1e-6, atol=1e-9 * np.max(errors**2))
-    distance = [np.sqrt(np.sum((w - optimum) ** 2 / start) / np.sum(optimum**2 / start)) for w, _ in history]
-    np.testing.assert_allclose(run.misalignment, distance, rtol=1e-7)
-    if cure != "none":  # the cure had something to do
-        free = closed_loop("none")[0]
-        assert np.abs(run.growth - free.growth).max() > 0.1
 
 
 @pytest.mark.slow

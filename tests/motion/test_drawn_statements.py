@@ -7,7 +7,7 @@ from experiments.motion import designs
 from experiments.motion.designs import DESIGNS, stage_compensator
 from experiments.motion.machines import loaded_modes, stage
 from experiments.motion.pictures import turning_points
-from notebooks.motion.bandwidth_table import BANDWIDTHS, LOOPS, OPEN_LOOPS, WAYS, agreeing, bandwidth
+from notebooks.motion.bandwidth_table import OPEN_LOOPS, bandwidth
 from stillwork.control.loops import channel, closed_loop
 
 PRINTED = [37.0, 43.0, 46.0, 59.0, 65.0, 72.0, 77.0, 83.0, 73.0]
@@ -18,20 +18,6 @@ def test_peaks_and_dips_of_a_line_are_found_and_ripples_are_not():
     line = 20 * np.exp(-((x - 3) ** 2) / 0.01) - 15 * np.exp(-((x - 7) ** 2) / 0.01) + 0.01 * np.sin(40 * x)
     assert turning_points(x, line, "peaks") == pytest.approx([3.0], abs=2e-3)
     assert turning_points(x, line, "dips") == pytest.approx([7.0], abs=2e-3)
-
-
-@pytest.mark.slow
-def test_six_of_nine_bandwidths_agree_where_hertz_are_cut_off():
-    """By the gain of the open loop from the closed loop's states: above 1 at the printed hertz, below 1 one hertz on."""
-    names = [*BANDWIDTHS.values(), "MC, two constraints"]
-    inside = [
-        open_loop_gain(name, "P C_eq", 3, hertz)[0] >= 1 > open_loop_gain(name, "P C_eq", 3, hertz + 1)[0]
-        for name, hertz in zip(names, PRINTED, strict=True)
-    ]
-    found = agreeing(PRINTED, cut_off=True)
-    assert WAYS[0] == ("6 dB", "noise model")
-    assert found[LOOPS.index("P C_eq"), 2, 0].tolist() == inside
-    assert sum(inside) == found.sum(axis=-1).max() == 6
 
 
 @pytest.mark.parametrize("sharing", ["linear", "smooth"])

@@ -1,19 +1,14 @@
 import numpy as np
 import pytest
 
-from experiments.motion.designs import (
-    DAMPING,
-)
 from experiments.motion.machines import chain_matrix, published_noise, shapes_along, stage
 from experiments.motion.position_dependence import at_place, stage_grid
 from notebooks.motion.position_dependent_observers import (
-    damping_along,
     move,
     nodes,
     pass_node,
 )
 from notebooks.motion.twenty_nine_scans import structure
-from stillwork.control.discrete_damping import sampled_feedback
 
 GRID = stage_grid()
 SAMPLE_TIME = 1e-4
@@ -30,18 +25,6 @@ def test_shapes_vanish_at_their_nodes(plant):
         assert len(found) == count
         for place in found:
             assert abs(shapes_along(plant, GRID, [place])[0, mode]) < 1e-12
-
-
-def test_a_gain_solved_at_every_place_damps_alike_and_goes_with_one_over_the_shape(plant):
-    places = np.array([0.02, 0.05, 0.08, 0.15])
-    gains = damping_along(plant, GRID, places, DAMPING, SAMPLE_TIME)
-    shapes = shapes_along(plant, GRID, places)[:, 1:4]
-    for k in range(3):
-        columns = gains[:, 0, 2 + 2 * k : 4 + 2 * k] * shapes[:, k : k + 1]
-        np.testing.assert_allclose(columns, np.broadcast_to(columns[0], columns.shape), rtol=1e-9)
-    for place, gain in zip(places, gains, strict=True):
-        model = at_place(plant, GRID, place, "actuator").modes([0, 1, 2, 3])
-        np.testing.assert_allclose(sampled_feedback(model, gain, SAMPLE_TIME).damping[1:], 0.04, atol=1e-9)
 
 
 def test_standing_on_a_node_loses_the_mode_and_passing_it_faster_loses_less(plant):

@@ -14,7 +14,6 @@ from notebooks.worstcase.geometry import solution_trial
 from notebooks.worstcase.real_record import load_pair
 from notebooks.worstcase.time_updates import weighting_trial
 from notebooks.worstcase.tracking import settled, tracking_trial
-from stillwork.base.checks import InputError
 from stillwork.estimation import min_max_solve
 from stillwork.estimation.linear_fits import total_least_squares
 from stillwork.identification import fir_regressors
@@ -168,30 +167,6 @@ def test_measured_pair_is_the_shipped_record():
     swept = real_record.bound_sweep(pair, 8, 64, np.array([1e-9, 1.0]), 5)
     medians = [np.median(found[name][0]) for name in ("least squares", "min-max, typical bound")]
     assert swept == pytest.approx(np.array(medians), rel=1e-7)
-
-
-def test_a_blow_predicts_another_blow():
-    blows = real_record.load_blows()
-    assert len(blows) == 5 and blows[0].sample_rate == 3200.0
-    late = np.concatenate([each.input[1600:] for each in blows])
-    assert blows[0].noise == pytest.approx(late.std(), rel=0.3)
-    assert all(each.input.max() > 4000 * each.noise for each in blows)
-    found = real_record.blow_trial(np.random.default_rng(1), blows, 8, 40, 1.0)
-    one, other = (fir_regressors(blows[k].input, 8)[:, :40].T for k in (1, 0))
-    model = np.linalg.lstsq(one, blows[1].output[:40])[0]
-    goal = blows[0].output[:40]
-    expected = np.linalg.norm(goal - other @ model) / np.linalg.norm(goal)
-    assert found["least squares"][4] == pytest.approx(expected, rel=1e-9)  # four pairs begin with each blow
-    noisy = real_record.blow_trial(np.random.default_rng(1), blows, 8, 40, 300.0)
-    assert np.median(noisy["least squares"]) > np.median(found["least squares"])
-    with pytest.raises(InputError, match="noisier"):
-        real_record.blow_trial(np.random.default_rng(1), blows, 8, 40, 0.5)
-
-
-def test_without_noise_an_exact_filter_is_found_by_both():
-    motion = np.random.default_rng(2).standard_normal(2000)
-    found = real_record.total_trial(np.random.default_rng(3), motion, 0.0, 8, 200)
-    assert max(found.values()) < 1e-9
 
 
 def test_an_exchanged_pair_has_the_other_sensor_s_noise():

@@ -1,7 +1,5 @@
 """Expected course of the weights from the oracle alone, and whether it is stable."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
@@ -60,16 +58,3 @@ def mean_course(
         course.append(target[:n] + off[:n])
         now = end
     return np.array(course)
-
-
-@dataclass(frozen=True)
-class Sideways:
-    """Course of a weight error that pushes the platform along its x axis, which the floor does not excite."""
-
-    time_s: Float64[np.ndarray, " kept"]
-    # size, predicted: root mean square shaped command along the pattern, N: simulated, and from the mean
-    # update R^-1 A alone
-    size: Float64[np.ndarray, " kept"]
-    predicted: Float64[np.ndarray, " kept"]
-    # smallest real part of the eigenvalues of R^-1 A: the rate of decay in the end, times the memory
-    eigenvalue: float
