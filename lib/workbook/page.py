@@ -146,7 +146,7 @@ class Page:
         self.claims.add(made)
         self.claims.write(paths.output(self.notebook) / "claims.json")
         self._show_summary()
-        return made.here
+        return Here(made.here)
 
     def conclude(
         self, text: str, otherwise: str | None = None, /, when: bool | str | Sequence[str] = True, **values
@@ -223,6 +223,15 @@ class Page:
         made = Appendix(self)
         function_of(self.notebook)(made, **settings)
         _display(made)
+
+
+class Here(str):
+    """Where a number lies at these settings; a cell that ends with a check does not show the bare word."""
+
+    __slots__ = ()
+
+    def _ipython_display_(self) -> None:
+        """Shown in the table of claims."""
 
 
 @dataclass(frozen=True)
