@@ -29,6 +29,37 @@ from stillwork.lti.state_space import StateModel
 from workbook import proportion_interval, run_study
 from workbook.studies import Study
 
+PRINTED_SLOPES = {  # towards low frequency, of the entries (0, 1) and (1, 0), by scheme
+    name: (0.0, 0.0)
+    for name in SCHEMES
+    if name not in ("each mode", "minimal interaction", "total actuation")
+} | {
+    "minimal actuation": (0.0, -1.0),
+    "stiffness": (-2.0, -2.0),
+    "stiffness, second order": (-1.0, -1.0),
+}
+JUDGED = {  # of which scheme, and of which of the two entries
+    "band-pass": ("band-passes", (0, 1)),
+    "common-band-pass": ("common band-pass", (0, 1)),
+    "minimal-actuation.first": ("minimal actuation", (0,)),
+    "minimal-actuation.second": ("minimal actuation", (1,)),
+    "over-actuation": ("over-actuation", (0, 1)),
+    "combined": ("band-passes and over-actuation", (0, 1)),
+    "stiffness": ("stiffness", (0, 1)),
+    "stiffness-fourth-order": ("stiffness, fourth order", (0, 1)),
+    "stiffness-over-actuation": ("stiffness, over-actuation", (0, 1)),
+}
+
+
+def worst_slopes(study: Study) -> dict[str, float]:
+    """Of each judged scheme (`JUDGED`) the slope that is furthest from the printed one, without rounding's digits."""
+    found = {}
+    for claim, (name, entries) in JUDGED.items():
+        slopes = np.stack([study[f"{name}: slopes"][:, k, 1 - k] for k in entries], axis=1).ravel()
+        worst = slopes[np.argmax(np.abs(slopes - PRINTED_SLOPES[name][entries[0]]))]
+        found[claim] = round(float(worst), 4) + 0.0
+    return found
+
 
 def minimal_order(gain: StateModel) -> int:
     """Order of a minimal realisation of a stable model, by the rank of its Hankel operator."""

@@ -219,7 +219,7 @@ def appendix(
     page.check("motion.appendix-a.four-gains-poor", float(np.mean(poor)))
     page.text("""## Other moves (nm)
 
-Two moves with snap segments of 4 and 6 ms instead of 5 ms. "0.1 % wrong": all gains of the copy are off by this much, as with a
+Moves with shorter and longer snap segments. "0.1 % wrong": all gains of the copy are off by this much, as with a
 wrong motor constant.""")
     page.show(other.round(2))
     less = [

@@ -18,6 +18,7 @@ from experiments.motion.pictures import (
     mark_printed,
     mark_slope,
     paint_bode,
+    paint_over_masses,
 )
 from stillwork.control.applications import Application, compensator, soft_sensor
 from stillwork.control.bandwidth import Loop, PeakConstraint, make_loop, maximise_bandwidth
@@ -39,6 +40,31 @@ def crossing_of(omega: np.ndarray, gain: np.ndarray) -> float:
     last = np.flatnonzero((size[:-1] > 1) & (size[1:] <= 1) & (omega[1:] < 2 * np.pi))[0]
     pair = slice(last, last + 2)
     return float(np.exp(np.interp(0, -np.log(size[pair]), np.log(omega[pair]))) / (2 * np.pi))
+
+
+# === The lost integrator ==========================================================================================
+
+
+def paint_integrators(loops: Sequence[Loop], controllers: Mapping[str, Pid], bare: Loop):
+    """S_O over the masses down to 0.1 mHz, a panel a controller, with that of a loop without observer (Fig. 3.6)."""
+    panels = {
+        f"$S_O$ with MC, {name}": (loops, each, "output_sensitivity") for name, each in controllers.items()
+    }
+    figure = paint_over_masses(panels, low_hz=1e-4, bottom=-350.0)
+    for axis, controller in zip(figure.axes, controllers.values(), strict=True):
+        response = bare.at(controller).output_sensitivity
+        add_magnitude(axis, bare.omega, response, color=figures.GREY, linestyle="--", label="no observer")
+        axis.set_ylim(top=60)  # room for the limit's name
+    return figure
+
+
+def name_slopes(figure) -> None:
+    """The printed slope below 1 Hz in each panel of `paint_integrators`, and the legends."""
+    for axis in figure.axes:
+        mark_slope(axis, 2.0, (1e-2, 1.0), -190.0, "printed: slope 2 below 1 Hz")
+    left, right = figure.axes
+    right.legend(right.lines[-1:], ["printed: slope 2 below 1 Hz"], loc="lower right", fontsize=7)
+    left.legend(ncols=2, loc="lower right", fontsize=6)
 
 
 # === High-pass or noise model =====================================================================================
@@ -247,7 +273,7 @@ Static gain $O_{yu}(0)$, and where $|C_{fb}O_{yu}| = 1$ by measured mass.
     page.show("crossing per mass (Hz)", pd.Series(every, index=range(1, 8)).round(4))
     nearest = int(np.argmin(np.abs(np.array(every) - 0.003)))
     page.conclude(
-        "The printed 0.003 Hz is the crossing at mass {mass}.",
+        "The printed 0.003 Hz agrees with the crossing at mass {mass}.",
         "The crossing nearest to the printed 0.003 Hz is that of mass {mass}.",
         when=round(every[nearest], 3) == 0.003,
         mass=nearest + 1,

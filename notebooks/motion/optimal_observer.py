@@ -542,20 +542,18 @@ def paint_bandwidths(
         kalman_hz, front_hz = bandwidths[measure, "observer's model"]
         name = measure.replace("r to e_true", "$r$ to $e_{true}$")
         tracks = np.where(front_hz > 0, front_hz, np.nan)
-        axis.loglog(emphases, tracks, "o-", color=colour, label=f"front, {name}")
+        axis.semilogx(emphases, tracks, "o-", color=colour, label=f"front, {name}")
         nothing = [emphasis for emphasis, hertz in zip(emphases, front_hz, strict=True) if not hertz > 0]
-        if nothing:  # no bandwidth: below the logarithmic axis
-            at = {
-                "transform": axis.get_xaxis_transform(),
-                "clip_on": False,
-                "label": f"front, {name}: tracks nothing",
-            }
-            axis.plot(nothing, np.zeros(len(nothing)), "x", color=colour, **at)
+        if nothing:
+            axis.plot(
+                nothing, np.zeros(len(nothing)), "x", color=colour, label=f"front, {name}: tracks nothing"
+            )
         axis.axhline(kalman_hz, color=colour, ls="--", linewidth=0.9, label=f"Kalman, {name}")
     axis.set(
         title="observer's model", xlabel="emphasis on the weighted error", ylabel="control bandwidth (Hz)"
     )
-    axis.legend(loc="lower right")
+    axis.set_ylim(bottom=-3)
+    figures.legend_below(axis, 3)
     return figure
 
 

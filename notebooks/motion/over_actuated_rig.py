@@ -202,12 +202,36 @@ def paint_one_entry(loops: Mapping[str, Sequence[RigLoop]], to: int):
             )
     quantity = f"$F_z$ to ${MOTIONS[to]}$\n(dB re 1 {UNITS[to][0]})"
     figure, axes = paint_magnitudes(panels, quantity, rows=2, height=4.6, sharex=True, sharey=True)
-    figures.legend_below(axes[0, 0], 4)
+    for axis in axes.ravel():
+        low = {"transform": axis.get_xaxis_transform(), "markersize": 3}
+        hertz = published()["frequencies_hz"]
+        figures.mark_published(axis, hertz, np.full(len(hertz), 0.03), "published, Table 6.1", **low)
+    figures.legend_below(axes[0, 0], 5)
     return figure
 
 
-def paint_tracking_errors(errors: Mapping[str, np.ndarray], sample_time: float):
-    """True errors (m and rad) over one period, a column a use of the observer, that of the original in grey: Figs 6.10, 6.11."""
+def printed_errors(figure: str) -> dict[str, np.ndarray]:
+    """Printed rms errors in z (um), rx and ry (urad) by use: Table 6.3 for Fig. 6.10, Table 6.4 for Fig. 6.11.
+
+    Without observer both have those of Table 6.3.
+    """
+    entries, table = load_entries("motion"), {"fig-6-10": "table-6-3", "fig-6-11": "table-6-4"}[figure]
+    found = {}
+    for case, name in PRINTED.items():
+        where = table if case != "Original" else "table-6-3"
+        found[case] = np.array(
+            [entries[f"motion.{where}.{name}.{each}"].published for each in ("z", "rx", "ry")]
+        )
+    return found
+
+
+def paint_tracking_errors(
+    errors: Mapping[str, np.ndarray], sample_time: float, printed: Mapping[str, np.ndarray]
+):
+    """True errors (m and rad) over one period, a column a use of the observer, that of the original in grey: Figs 6.10, 6.11.
+
+    Dashed: plus and minus the printed rms (um and urad), of a trajectory that is not published.
+    """
     figure, axes = figures.new(3, len(errors), height=4.6, sharex=True, sharey="row")
     every = 10  # samples between those drawn: the errors are slow
     original = errors["Original"]
@@ -217,6 +241,9 @@ def paint_tracking_errors(errors: Mapping[str, np.ndarray], sample_time: float):
             if case != "Original":
                 axis.plot(time, 1e6 * original[k, ::every], color=figures.GREY, linewidth=2, label="Original")
             axis.plot(time, 1e6 * error[k, ::every], color=COLOURS[case], linewidth=0.8, label=case)
+            for sign in (1, -1):
+                level = {"color": figures.BLACK, "linestyle": "--", "linewidth": 1.0, "label": "printed rms"}
+                axis.plot(time[[0, -1]], [sign * printed[case][k]] * 2, **level)
         column[0].set_title(case)
     for k, axis in enumerate(axes[:, 0]):
         axis.set_ylabel(f"error in ${MOTIONS[k]}$ ({'µm' if k == 0 else 'µrad'})")
@@ -342,8 +369,8 @@ def appendix(
 def _of_the_plants(page, shown: Mapping[str, list[RigLoop]]) -> None:
     page.text("""## MC alone, AD alone, and one entry
 
-Figs 6.5, 6.6, 6.8 and 6.9. With MC most peaks shrink but stay, because the observer's frequencies are off by up to half a per
-cent; above 1200 Hz some grow. AD flattens the peaks.""")
+Figs 6.5, 6.6, 6.8 and 6.9. With MC most peaks shrink but stay, because the observer's frequencies are
+off. AD flattens the peaks. How the highest points change from no observer to MC, in two bands:""")
     without, compensated = (paint_decoupled_plants(shown[case]) for case in ("Original", "MC"))
     page.save("fig-6-5", compensated)
     for band in ((1200, 2000), (850, 910)):
@@ -412,9 +439,9 @@ def _of_the_noise_model(
 ) -> None:
     page.text(r"""## The noise model
 
-Section 6.3 requires $Q_\nu\ge10^{-2}$. With MC *and* AD no bandwidth is feasible at this value: so large a random walk absorbs the
-motion of the modes, and $S_O$ exceeds 6 dB near 500 Hz with any controller. There we use $10^{-7}$, also in the next notebook: the
-decade with the largest bandwidth on this curve (chosen after it was seen). Right: modes whose peak the observer lowers.""")
+Section 6.3 requires $Q_\nu\ge10^{-2}$. So large a random walk absorbs the motion of the modes. With MC *and* AD we use the decade with
+the largest bandwidth on this curve, also in the next notebook (chosen after it was seen). Right: modes whose peak the observer
+lowers.""")
     intensities = 10.0 ** np.array([-10, -9, -8, -7, -6, -4, -2])
     curves: dict[str, list] = {"MC": [], "MC and AD": []}
     lowered: dict[str, list] = {"MC": [], "MC and AD": []}
@@ -442,6 +469,15 @@ decade with the largest bandwidth on this curve (chosen after it was seen). Righ
     axes[1].set(ylabel="modes whose peak\nis lowered (of eight)", ylim=(0, 8.5))
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     page.save("noise-model", figure)
+    both = np.array(curves["MC and AD"])
+    page.conclude(
+        "With MC and AD no bandwidth is feasible at the printed limit; the largest is {hz:.1f} Hz in $z$, at $Q_\\nu$ = {best:.0e}.",
+        "With MC and AD {printed:.1f} Hz are feasible in $z$ at the printed limit; the largest is {hz:.1f} Hz, at $Q_\\nu$ = {best:.0e}.",
+        when=bool(np.isnan(both[-1])),
+        hz=np.nanmax(both),
+        best=float(intensities[np.nanargmax(both)]),
+        printed=both[-1],
+    )
 
 
 def _of_levelling(

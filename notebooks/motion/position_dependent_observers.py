@@ -238,7 +238,7 @@ def peak_table(loops: Mapping[str, Mapping[float, Loop]], controllers: Mapping[s
     """Peaks of S_O over the places, and how far S_O and the gain from y spread at 100 Hz, a row a use and controller."""
     at, rows = np.array([2 * np.pi * 100.0]), {}
     for title, used in controllers.items():
-        for name in ("AD", "AD, band-pass", "MC and AD"):
+        for name in ("MC", "AD", "AD, band-pass", "MC and AD"):
             tops = [loop.peak(used, "output_sensitivity") for loop in loops[name].values()]
             near = [loop.at(used, at) for loop in loops[name].values()]
             hertz = [top.omega / (2 * np.pi) for top in tops]

@@ -419,7 +419,10 @@ def fit_to_force(loop: StateModel, ideal: Force, noise: ArrayLike | None = None)
 
 
 def paint_location_errors(study: LocationStudy, cases: Sequence[str]):
-    """Tracking errors, a row a case: at the places of the largest and of the smallest rms, over the band of all (Figs 4.10, 4.11)."""
+    """Tracking errors, a row a case: at the places of the largest and of the smallest rms, over the band of all (Figs 4.10, 4.11).
+
+    Red: the printed rms of Table 4.1, over the scan that it belongs to.
+    """
     figure, axes = figures.new(len(cases), 2, height=5.4, sharex=True, sharey="row")
     time = study.setpoint.time
     pixel = max(round(5e-4 / study.setpoint.sample_time), 1)  # samples of one
@@ -427,16 +430,22 @@ def paint_location_errors(study: LocationStudy, cases: Sequence[str]):
     for row, case in zip(axes, cases, strict=True):
         errors, size = 1e9 * study.errors[case], 1e9 * study.rms(case)
         band = [each.reduceat(each.reduce(errors, axis=0), starts) for each in (np.minimum, np.maximum)]
-        for axis, word, k in zip(row, ("largest", "smallest"), (size.argmax(), size.argmin()), strict=True):
+        ends = zip(row, ("largest", "smallest"), (size.argmax(), size.argmin()), (2, 0), strict=True)
+        for axis, word, k, column in ends:
+            printed = PUBLISHED[case][column]
             shade = {"color": figures.GREY, "alpha": 0.35, "linewidth": 0, "label": "all places"}
             axis.fill_between(time[starts], *band, **shade)
             axis.plot(time, errors[k], color=figures.BLUE, linewidth=0.5, label="one place")
             for edge in (study.setpoint.acceleration_end, study.setpoint.scan[1]):
                 line = axis.axvline(edge, color=figures.BLACK, linewidth=0.8)
             line.set_label("constant velocity between")
-            title = f"{case}, {word} rms: {size[k]:.1f} nm, at {study.places[k]:.2f} m"
+            level = {"color": figures.RED, "linewidth": 1.2, "label": "printed rms"}
+            axis.plot(study.setpoint.scan, [printed] * 2, **level)
+            title = (
+                f"{case}, {word} rms: {size[k]:.1f} nm (printed {printed:.1f}), at {study.places[k]:.2f} m"
+            )
             axis.set_title(title, fontsize=7)
-    figures.legend_below(axes[0, 0], 3, fontsize=7)
+    figures.legend_below(axes[0, 0], 4, fontsize=7)
     figures.label(axes, "time (s)", "error (nm)")
     return figure
 
