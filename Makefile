@@ -61,7 +61,7 @@ choices: $(READY) ## Try every choice that the papers leave open; ARGS="TOPIC --
 settings: $(READY) ## Find which of these choices explain most printed numbers at once; ARGS="TOPIC --jobs N"
 	@$(BIN)/python -m workbook settings $(ARGS)
 
-contest: $(READY) ## Rank observers of flexible machines; ARGS="MY_OBSERVER.py --seeds N --jobs N"
+contest: $(READY) ## Rank observers of flexible machines; ARGS="MY_OBSERVER.py --machine NAME"
 	@$(BIN)/python -m stillwork contest $(ARGS)
 
 test: $(TESTED) ## Style, types, unit tests, all notebooks, and what is committed against what they give now

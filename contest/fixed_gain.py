@@ -127,35 +127,6 @@ def hinfinity(model: NominalModel, noise: NominalNoise, sample_time: float, rati
     return last(hinfinity_gains(long, wanted, ratio * smallest_level(long, wanted)))
 
 
-def guaranteed_cost(
-    model: NominalModel, noise: NominalNoise, sample_time: float, size: float, multiplier: float
-) -> CompiledObserver:
-    r"""Set-valued filter of a machine whose error is fed back, with a sum of squares bounded by that of its input.
-
-    x+ = A x + B (u + w) + D d, with d at most as large as z = K x + G u: derivatives times `size`, in the states'
-    deviations. The filter makes the least of :math:`w'Q^{-1}w + v'R^{-1}v + \tau (d'd - z'z)`, with :math:`1/\tau`
-    the `multiplier`: it is that of the H-infinity filter for K x, and takes z besides as measured zero, at a negative
-    variance.
-    """
-    long = recursion(model, noise)
-    by = derivatives(model, long, sample_time)
-    scale = np.sqrt(np.diag(long.initial_covariance))
-    flexible = np.arange(len(by.a) // 4)[:, None]
-    chosen = (4 * flexible + np.arange(3)).reshape(-1, 1)  # by frequency, damping and input shape
-    rows = np.repeat(2 * (model.rigid_modes + flexible) + np.arange(2), 3, axis=0)
-    share = size / scale[rows][..., None]
-    of_state, of_force = ((share * x[chosen, rows]).reshape(rows.size, -1) for x in (by.a, by.b))
-    fed = np.zeros((len(scale), rows.size))
-    fed[rows.ravel(), np.arange(rows.size)] = scale[rows.ravel()]
-    process = block_diag(noise.process, multiplier * np.eye(rows.size))
-    driven = long.with_process(np.hstack([model.b, fed]), process)
-    gains = hinfinity_gains(driven, of_state, np.sqrt(multiplier))
-    p = gains.covariance[-1]
-    back = np.linalg.solve(multiplier * np.eye(len(of_state)) - of_state @ p @ of_state.T, of_state @ p).T
-    forward, onward = model.a @ (np.eye(len(p)) + back @ of_state), model.b + model.a @ back @ of_force
-    return fixed(forward, onward, gains.gain[-1], model.c)
-
-
 def extended_state(
     model: NominalModel, noise: NominalNoise, sample_time: float, walk: float
 ) -> CompiledObserver:
@@ -202,14 +173,6 @@ FIXED = {
         hinfinity,
         (TuningParameter("level over the smallest", 1.01, 1e3, 1.2),),
         "Hassibi, Sayed and Kailath 1999",
-    ),
-    "guaranteed cost": Baseline(
-        guaranteed_cost,
-        (
-            TuningParameter("largest error given", 1e-5, 0.1, 1e-3),
-            TuningParameter("multiplier", 1e-4, 1e2, 1.0),
-        ),
-        "Savkin and Petersen 1998",
     ),
     "disturbance observer": Baseline(
         extended_state,

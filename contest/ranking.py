@@ -191,14 +191,6 @@ def loops(table: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(columns)
 
 
-def variants(table: pd.DataFrame) -> dict[str, pd.DataFrame]:
-    """The table as it is, without each machine, and of each public number and each tuning alone."""
-    found = {"as it is": table}
-    found |= {f"without {plant}": table[table["plant"] != plant] for plant in table["plant"].unique()}
-    found |= {f"number {public}": table[table["public"] == public] for public in table["public"].unique()}
-    return found | {f"tuning {k}": table[table["seed"] % TUNINGS == k] for k in range(TUNINGS)}
-
-
 def with_interval(value: float, low: float, high: float, form: str) -> str:
     """A value with its interval, where there is one."""
     return f"{value:{form}}" if np.isnan(low) else f"{value:{form}} [{low:{form}}, {high:{form}}]"

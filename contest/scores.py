@@ -7,26 +7,18 @@ from typing import NamedTuple
 import numpy as np
 
 from contest import bench
-from contest.adaptive import ADAPTIVE
 from contest.fixed_gain import FIXED
-from contest.learned import LEARNED
-from contest.moving_horizon import MOVING
-from contest.multi_model import MULTI_MODEL
 from contest.nominal import Baseline, OwnObserver, nominal_of
 from contest.parametric import PARAMETRIC
 from contest.plants import plant_of
 from contest.runner import FileObserver
-from contest.structured import STRUCTURED
+from contest.set_membership import SET_MEMBERSHIP
 from contest.uncertainties import UNCERTAINTIES, Truth, hidden_seed, sample_truth
 
 ENTRANTS: Mapping[str, Baseline] = {
     **FIXED,
-    **STRUCTURED,
     **PARAMETRIC,
-    **ADAPTIVE,
-    **MOVING,
-    **MULTI_MODEL,
-    **LEARNED,
+    **SET_MEMBERSHIP,
 }
 ORACLE = "oracle"  # the true states, in the loop alone
 

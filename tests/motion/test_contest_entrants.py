@@ -85,7 +85,7 @@ def test_a_file_runs_machine_by_machine_and_one_that_is_out_stops_nobody(written
     assert hold_contest([hopeless, mine], machine=["drive", "stage"], out=str(out)) == 1
     table, shown = pd.read_csv(out, dtype={"public": str}), capsys.readouterr().out
     assert list(table.columns) == [*written_table().columns, "mine"] and "hopeless is disqualified" in shown
-    assert "mine: place 22 of 22 by mean rank" in shown and "unscented Kalman   " not in shown
+    assert "mine: place 15 of 15 by mean rank" in shown and "unscented Kalman   " not in shown
     assert re.findall(r"^(\w+): error 1.00, Kalman 0", shown, re.MULTILINE) == ["drive", "stage"]
     flexible = table[table["score"] == "flexible"]
     assert len(flexible) == 2 * 12 and (flexible["mine"] == 1).all() and not flexible[KEYS].duplicated().any()

@@ -25,7 +25,6 @@ COVERED = (
     "fictitious noise",
     "unknown input",
     "disturbance observer",
-    "Huber with delays",
     "oracle",
 )
 
@@ -192,7 +191,7 @@ def observer_of(entrant, name, uncertainty, seed):
     r, rigid, states = deviation**2 * np.eye(len(c)), rigid_maps(m)[0], len(a)
     settings = tomllib.loads((DATA / "contest_settings.toml").read_text(encoding="utf-8"))
     knobs = settings[entrant][name][seed % 2] if entrant in settings else [0.0]
-    if entrant in ("fictitious noise", "Huber with delays"):
+    if entrant == "fictitious noise":
         for i in range(rigid, m["given_modes"]):
             rows = b[2 * i : 2 * i + 2]
             own = np.zeros(len(a))
@@ -207,8 +206,6 @@ def observer_of(entrant, name, uncertainty, seed):
         b, c = np.vstack([b, 0 * own]), np.hstack([c, np.zeros((len(c), len(own)))])
     p = riccati(a, c, driven, r)
     gain = p @ c.T @ np.linalg.inv(c @ p @ c.T + r)
-    if entrant == "Huber with delays":
-        return late_and_clipped(a, b, c, gain, deviation, knobs[0])
     if entrant == "open model":
         gain[2 * rigid :] = 0
     state = [np.zeros(len(a))]
@@ -217,33 +214,6 @@ def observer_of(entrant, name, uncertainty, seed):
         predicted = a @ state[0] + b @ u
         state[0] = predicted if np.isnan(y[0]) else predicted + gain @ (y - c @ predicted)
         return state[0][:states]
-
-    return step
-
-
-def late_and_clipped(a, b, c, gain, deviation, clip):
-    """Three filters, for samples that are 0, 1 and 2 late, with clipped innovations."""
-    late, scores, sizes = np.zeros((3, len(a))), np.zeros(3), np.full((3, len(c)), deviation)
-    forces = [np.zeros(b.shape[1])] * 3
-
-    def step(u, y, x):
-        forces[:] = [u.copy(), *forces[:2]]
-        for d in range(3):
-            late[d] = a @ late[d] + b @ forces[d]
-            if np.isnan(y[0]):
-                continue
-            scores[d] *= 0.98
-            for o, size in enumerate(sizes[d].copy()):
-                error = y[o] - c[o] @ late[d]
-                share = min(abs(error) / size, clip)
-                scores[d] += np.log(size) + share**2 / 2
-                late[d] += gain[:, o] * np.sign(error) * share * size
-                sizes[d, o] = max(size * np.exp(0.02 * (share - 0.8)), deviation)
-        now = late.copy()
-        for d in (1, 2):
-            for force in forces[:d][::-1]:
-                now[d] = a @ now[d] + b @ force
-        return np.average(now, axis=0, weights=np.exp(scores.min() - scores))
 
     return step
 

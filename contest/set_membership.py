@@ -1,14 +1,13 @@
-"""Entrants robust against bad measurements: bounded noise, clipped innovations, and late samples."""
+"""The entrant whose noises are bounded: a set that holds every state which the bounds allow."""
 
 import numpy as np
 
-from contest.fixed_gain import fictitious, stationary
+from contest.fixed_gain import stationary
 from contest.nominal import Baseline, CompiledObserver, NominalModel, NominalNoise, TuningParameter
 from contest.parametric import predict_modes, propagate
-from stillwork.base.algebra import add_scaled, copy_vector, measure, minus_row
+from stillwork.base.algebra import copy_vector, measure, minus_row
 from stillwork.base.kernels import kernel
 
-DELAYS, FOLLOWING, FORGETTING = 3, 0.02, 0.98  # delays tried; rate of a size a sample; of scores
 MET = 0.9  # innovation over the reach of ellipsoid and bound together, at which they count as meeting
 
 
@@ -75,71 +74,7 @@ def set_membership(
     return CompiledObserver(_advance_sets, data, (np.zeros(len(model.a)), sensor**2 * after))
 
 
-@kernel
-def _advance_clipped(data, memory, inputs, measurements, estimates):
-    a, b, c, gain, least, settings = data
-    x, sizes, scores, forces = memory
-    clip, rate, forgetting = settings
-    n, outputs, delays = a.shape[0], len(c), len(x)
-    estimate, weights = np.empty(n), np.empty(delays)
-    for k in range(len(inputs)):
-        for d in range(delays - 1, 0, -1):
-            copy_vector(forces[d - 1], forces[d])
-        copy_vector(inputs[k], forces[0])
-        for d in range(delays):  # x[d] is of sample k - d, which the measurement is of where it is so late
-            predict_modes(a, b, forces[d], x[d])
-            if np.isnan(measurements[k, 0]):
-                continue
-            scores[d] *= forgetting
-            for o in range(outputs):
-                innovation, size = minus_row(measurements[k, o], c, o, x[d]), sizes[d, o]
-                share = min(abs(innovation) / size, clip)
-                # The mean of a normal innovation's size is 0.8 of its deviation.
-                sizes[d, o] = max(size * np.exp(rate * (share - 0.8)), least[o])
-                scores[d] += np.log(size) + share * share / 2
-                for i in range(n):
-                    x[d, i] += gain[i, o] * np.sign(innovation) * share * size
-        best = scores.min()
-        total = 0.0
-        for d in range(delays):
-            weights[d] = np.exp(best - scores[d])
-            total += weights[d]
-        estimates[k] = 0.0
-        for d in range(delays):
-            copy_vector(x[d], estimate)
-            for later in range(d - 1, -1, -1):
-                predict_modes(a, b, forces[later], estimate)
-            add_scaled(weights[d] / total, estimate, estimates[k])
-
-
-def clipped_with_delays(
-    model: NominalModel, noise: NominalNoise, sample_time: float, clip: float, force: float
-) -> CompiledObserver:
-    """Kalman filters with fictitious noise for samples that are 0, 1 or 2 late, weighed by how well each predicts.
-
-    Innovations are clipped at `clip` times their size, which is followed and is never less than a measurement's noise.
-    """
-    gain, least = fictitious(model, noise, sample_time, force).data[2], np.sqrt(np.diag(noise.sensor))
-    data = (model.a, model.b, model.c, gain, least, np.array([clip, FOLLOWING, FORGETTING]))
-    n, inputs = model.b.shape
-    memory = (
-        np.zeros((DELAYS, n)),
-        np.tile(least, (DELAYS, 1)),
-        np.zeros(DELAYS),
-        np.zeros((DELAYS, inputs)),
-    )
-    return CompiledObserver(_advance_clipped, data, memory)
-
-
-ADAPTIVE = {
-    "Huber with delays": Baseline(
-        clipped_with_delays,
-        (
-            TuningParameter("clip over the innovation's size", 1.0, 30.0, 3.0),
-            TuningParameter("force on a mode over w", 1e-1, 1e4, 10.0),
-        ),
-        "Masreliez and Martin 1977; a bank of delays after Magill 1965",
-    ),
+SET_MEMBERSHIP = {
     "set membership": Baseline(
         set_membership,
         (
