@@ -65,10 +65,10 @@ class Appendix:
         self.counts["pictures"] += 1
         self.parts.append(f"![{name}]({name}.png)")
 
-    def check(self, claim: str, ours: float, interval=None) -> str:
+    def check(self, claim: str, ours: float, interval=None) -> None:
         """`workbook.page.Page.check`."""
         self.counts["numbers"] += 1
-        return self.page.check(claim, ours, None if interval is None else tuple(interval))
+        self.page.check(claim, ours, None if interval is None else tuple(interval))
 
     def conclude(self, text: str, otherwise: str | None = None, /, when=True, **values) -> None:
         """`workbook.page.Page.conclude`, shown here."""

@@ -130,8 +130,8 @@ class Page:
         if shown:
             _display(saved)
 
-    def check(self, claim: str, ours: float, interval: tuple[float, float] | None = None) -> str:
-        """Hold `ours` against the ledger's entry `claim` (with the topic in front); returns where it lies at these settings.
+    def check(self, claim: str, ours: float, interval: tuple[float, float] | None = None) -> None:
+        """Hold `ours` against the ledger's entry `claim` (with the topic in front); `claims` shows where it lies.
 
         Parameters
         ----------
@@ -146,7 +146,6 @@ class Page:
         self.claims.add(made)
         self.claims.write(paths.output(self.notebook) / "claims.json")
         self._show_summary()
-        return Here(made.here)
 
     def conclude(
         self, text: str, otherwise: str | None = None, /, when: bool | str | Sequence[str] = True, **values
@@ -223,15 +222,6 @@ class Page:
         made = Appendix(self)
         function_of(self.notebook)(made, **settings)
         _display(made)
-
-
-class Here(str):
-    """Where a number lies at these settings; a cell that ends with a check does not show the bare word."""
-
-    __slots__ = ()
-
-    def _ipython_display_(self) -> None:
-        """Shown in the table of claims."""
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from experiments.budget.machine import AS_FILED, BAND_HZ, FLOORS, Assumed, machi
 from experiments.budget.waterfall import STEPS
 from stillwork.control.budget_sources import setpoint
 from stillwork.control.error_budget import ErrorBudget, Source, UnstableLoop, error_budget, tone_response
+from stillwork.machine.budget import nanometres
 from workbook import figures
 
 SCALES = (
@@ -100,13 +101,17 @@ def table_of(budgets: dict[str, ErrorBudget], exposure: float):
 
     rows = []
     for budget in budgets.values():
-        low, high = 1e9 * budget.interval()[:, 0]
+        low, high = (_three_digits(each) for each in budget.interval()[:, 0])
         average, deviation = budget.moving(exposure)
         rms, peak = budget.rms[0], budget.peak(60.0)[0]
-        sizes = [f"{1e9 * size:.3g}" for size in (rms, 3 * rms, peak, average[0], deviation[0])]
-        rows.append([sizes[0], f"{low:.3g} to {high:.3g}", *sizes[1:]])
+        sizes = [_three_digits(size) for size in (rms, 3 * rms, peak, average[0], deviation[0])]
+        rows.append([sizes[0], f"{low} to {high}", *sizes[1:]])
     head = ["rms (nm)", "95 %", "3 sigma", "peak", "MA", "MSD"]
     return DataFrame(rows, index=list(budgets), columns=head)
+
+
+def _three_digits(metres: float) -> str:
+    return nanometres(metres).removesuffix(" nm")
 
 
 # === A machine that moves =========================================================================================

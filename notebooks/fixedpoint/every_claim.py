@@ -19,7 +19,8 @@ from stillwork.control.fixed_point import Controller, simulate
 from stillwork.control.trajectory import asin_trajectory
 from stillwork.control.transformation import FlowTransformation
 from stillwork.estimation.coordinate_filters import MovingWindow, UnscentedKalman
-from workbook import figures
+from workbook import figures, paths
+from workbook.choices.kept import wanted
 from workbook.studies import Study, fraction, run_study
 
 # === Open choices =================================================================================================
@@ -343,3 +344,11 @@ Share of records in which each statement holds, with Wilson's 95 % interval.""")
     smooth = said.in_both_forms(studies["small Gaussian"], SMOOTHEST, noisy_by="velocity_roughness").mean()
     page.show(f"small Gaussian: low pass smoothest in {smooth:.2f} of them, so the rest is the window")
     page.check("fixedpoint.fig-6.noisy-by-velocity", noisiest["small Gaussian"])
+    page.text("""## Which number wants which setting
+
+Of all printed numbers those that agree under an option and not under every one (`data/fixedpoint/settings.csv`):""")
+    axes = (
+        "trajectory-shape", "trajectory-frequency", "noise-amplitude", "noisy-by", "kalman-acceleration", "judged-from",
+        "error-measure", "true-stiffness",
+    )  # fmt: skip
+    page.show(*wanted(paths.data("fixedpoint", "settings.csv"), axes, never=("fig-", "section-")))

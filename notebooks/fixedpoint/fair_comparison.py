@@ -70,7 +70,7 @@ def paint_tuned_errors(studies: dict[str, dict[str, Study]]):
                 points_with_intervals(axes, [METRICS[quantity][2] * runs[quantity]], [place], name)
             first = quantity == quantities[0]
             axes.set(xlabel=METRICS[quantity][0], title=case if first else "")
-            axes.set_yticks(range(len(study)), list(study) if first else [""] * len(study))
+            axes.set_yticks(range(len(study)), map(called, study) if first else [""] * len(study))
             axes.set(ylim=(len(study) - 0.5, -0.5), xlim=(0, 1.06 * axes.get_xlim()[1]))
     return figure
 
@@ -79,9 +79,11 @@ def paint_cost_against_error(cost_ns: dict[str, float], errors: dict[str, float]
     """What a filter costs against what it gives."""
     figure, axes = figures.new(1, height=3.2)
     for name, error in errors.items():
-        axes.plot(cost_ns[name], error, "o", color=COLOURS[name], label=name)
+        axes.plot(cost_ns[name], error, "o", color=COLOURS[name], label=called(name))
         below = -13 if name == EXTENDED else 4  # its neighbour is close
-        axes.annotate(name, (cost_ns[name], error), xytext=(6, below), textcoords="offset points", fontsize=8)
+        axes.annotate(
+            called(name), (cost_ns[name], error), xytext=(6, below), textcoords="offset points", fontsize=8
+        )
     axes.set(xscale="log", xlabel="measured time per sample, printed settings (ns)", ylabel=unit)
     axes.set(xlim=(0.7 * min(cost_ns.values()), 3 * max(cost_ns.values())))  # the names stand to the right
     axes.set_ylim(0, 1.15 * max(errors.values()))
@@ -428,19 +430,35 @@ def largest_stable_mass(
     return {name: float(share * exact.mass) for name, share in found.items()}
 
 
-def paint_model_error(errors: dict[str, dict[str, np.ndarray]], heaviest: dict[str, float], mass: float):
-    """RMS error of q' over the size of each kind of error: medians of the searches, where all their loops are stable."""
+def called(name: str) -> str:
+    """A filter's name on this page, which has two Kalman filters."""
+    return "unscented Kalman filter" if name == KALMAN else name
+
+
+def paint_model_error(
+    errors: dict[str, dict[str, np.ndarray]],
+    heaviest: dict[str, float],
+    models: dict[str, VanDerPol],
+):
+    """RMS error of q' over the size of each kind of error: medians of the searches, where all their loops are stable.
+
+    Stiffness is in multiples of the model's, as in the text.
+    """
     figure, panels = figures.new(2, 3, height=4.8, sharey=True)
+    share = models["exact"].stiffness / models["approximate"].stiffness
     for axes, (kind, found) in zip(panels.flat, errors.items(), strict=True):
+        scale = share if kind == "stiffness" else 1.0
         for name, lines in found.items():
             middle = 1e3 * np.median(lines, axis=0)  # NaN where one is unstable
-            axes.plot(SIZES[kind], middle, "o-", ms=3, color=COLOURS[name], label=name)
+            sizes = scale * np.array(SIZES[kind])
+            axes.plot(sizes, middle, "o-", ms=3, color=COLOURS[name], label=called(name))
         unit = "N" if kind in ("dry friction", "constant force") else "times Table I's"
-        axes.set(title=kind, xlabel=unit, yscale="log")
+        axes.set(title=kind, xlabel="times the model's" if kind == "stiffness" else unit, yscale="log")
         log_axis(axes.yaxis)
+    panels[0, 0].axvline(share, color=figures.GREY, linestyle="--", label="Table I's plant")
     for name in WITHOUT_MODEL:
         edge = {"color": COLOURS[name], "linestyle": ":", "label": f"_{name}, stable up to here"}
-        panels[0, 1].axvline(heaviest[name] / mass, **edge)
+        panels[0, 1].axvline(heaviest[name] / models["exact"].mass, **edge)
     panels[0, 1].set_title("mass (dotted: stable up to here)")
     for axes in panels[:, 0]:
         axes.set_ylabel("RMS error of q' (mm/s)")

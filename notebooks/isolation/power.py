@@ -25,7 +25,8 @@ from experiments.isolation.steady import steady_state
 from experiments.isolation.twin import Twin, equal_struts, load_twin
 from stillwork.base.checks import InputError, require_array
 from stillwork.signals.spectra import Spectrum, band_power
-from workbook import figures
+from workbook import figures, paths
+from workbook.choices.kept import wanted
 from workbook.studies import fraction, run_study, spread_interval
 
 BAND_HZ = (1.0, 300.0)  # the paper's range of interest
@@ -423,6 +424,18 @@ acceleration. So $w_4 : w_5 : w_6 = w_7 : w_8 : w_9$ except for lag and delay, w
         f"floor motion needed, relative: {floor_level_for(twin, floor, best, [94.0, 90.0, 93.0]).round(2)}",
         f"w4/w7, w5/w8, w6/w9: {ratios.round(2)}",
     )
+    page.text(
+        """Of all printed numbers those that agree under an option and not under every one (`data/isolation/settings.csv`):"""
+    )
+    axes = (
+        "output-noise",
+        "sensor-levels",
+        "sensor-radius",
+        "sensor-correlation",
+        "strut-tilt",
+        "floor-upper-end",
+    )
+    page.show(*wanted(paths.data("isolation", "settings.csv"), axes, never=("fig-8",)))
 
 
 def wide_sensors(

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
-from scipy import signal
+from scipy import integrate, signal
 
 from experiments.isolation.convergence import ALGORITHMS, COLOURS, STYLES
 from experiments.isolation.floors import ShapedFloor, coloured_floor, flat_floor
@@ -17,7 +17,8 @@ from experiments.isolation.twin import Twin, load_twin
 from stillwork.base.checks import require_choice
 from stillwork.estimation.adaptive import FeLms, FeRls
 from stillwork.estimation.mean_adaptation import Steady
-from workbook import figures
+from workbook import figures, paths
+from workbook.choices.kept import wanted
 from workbook.studies import Study, fraction
 
 # === Tracking =====================================================================================================
@@ -142,6 +143,21 @@ def expected_responses(
         title: {name: expected_response(twin, switch, name, step_size, memory_s) for name in ALGORITHMS}
         for title, switch in switches.items()
     }
+
+
+def gain_by_trace(correlation: np.ndarray) -> Float64[np.ndarray, " modes"]:
+    """How much faster FeLMS learns each direction of the regressors than its mean course, the weakest direction first.
+
+    (18) divides by the trace of each sample, the mean course by its mean. For Gaussian regressors with eigenvalues l of
+    their correlation it is E[x_i^2 / x'x] over l_i / sum(l), with E[x_i^2 / x'x] the integral over t > 0 of
+    l_i / (1 + 2 l_i t) / prod_j sqrt(1 + 2 l_j t).
+    """
+    share = np.linalg.eigvalsh(correlation) / np.trace(correlation)
+
+    def slope(t: float) -> np.ndarray:
+        return share / (1 + 2 * share * t) / np.prod(np.sqrt(1 + 2 * share * t))
+
+    return integrate.quad_vec(slope, 0, np.inf)[0] / share
 
 
 def tracking_trial(
@@ -432,7 +448,15 @@ gives Table 1 but not Fig. 6; without that noise, Fig. 6 but far less power than
     page.text("""## Under other choices
 
 With bands of only twice the flat amplitude the optimum moves less than single runs scatter, and FeLMS often settles first on
-the way back; with the trace as printed, which slows it six times, never.""")
+the way back; with the trace as printed, which slows it six times, never. Which number agrees
+under which of these choices and not under every one (`data/isolation/settings.csv`):""")
+    page.show(
+        *wanted(
+            paths.data("isolation", "settings.csv"),
+            ("trace", "colour-gain", "floor-upper-end"),
+            never=("tracking",),
+        )
+    )
 
 
 def _of_single_runs(page, switches, back: Switched, expected) -> None:

@@ -27,7 +27,8 @@ from experiments.isolation.steady import steady_state
 from experiments.isolation.twin import Twin, load_twin
 from stillwork.base.checks import require_array
 from stillwork.signals.spectra import band_power
-from workbook import figures
+from workbook import figures, paths
+from workbook.choices.kept import wanted
 from workbook.studies import fraction
 
 
@@ -433,3 +434,8 @@ sensitivity (5)?""")
         f"distance from (6) at 5-100 Hz: {distance:.1%}",
         f"floor-sensor noise over floor motion left, z at 1-300 Hz: {added:.2g}",
     )
+    page.text("""## Which number wants which setting
+
+Of all printed numbers those that agree under an option and not under every one (`data/isolation/settings.csv`):""")
+    axes = ("strut-damping", "actuator-pole", "record-length", "floor-upper-end")
+    page.show(*wanted(paths.data("isolation", "settings.csv"), axes, never=("fig-7",)))

@@ -176,21 +176,44 @@ def residuals(own: Answer, gains: np.ndarray) -> dict[str, Float64[np.ndarray, "
 
 def crossing(gains: np.ndarray, left: dict[str, np.ndarray]) -> str:
     """How loud the floor must be for this loop to leave less motion than the passive rig."""
-    pays = left["FeRLS"] < left["passive"]
-    if pays.all():
+    gain = _pays_from(gains, left["FeRLS"] / left["passive"])
+    if gain == 0.0:
         return (
             f"The loop leaves less motion than the passive rig even on a floor {gains[0]:.2g} times as loud."
         )
-    if not pays[-1]:
+    if gain == np.inf:
         return (
             f"The loop leaves more motion than the passive rig even on a floor {gains[-1]:.2g} times as loud."
         )
-    ratio = np.log(left["FeRLS"] / left["passive"])
-    at = 1 + int(np.flatnonzero(~pays)[-1])
-    gain = np.exp(np.interp(0.0, -ratio[at - 1 : at + 1], np.log(gains[at - 1 : at + 1])))
     return (
         f"The loop leaves less motion than the passive rig from {gain:.2g} times this floor's amplitude on."
     )
+
+
+WORTH = 0.9  # what a feedforward that pays leaves at most of the skyhook loop's motion, chosen
+
+
+def feedforward(gains: np.ndarray, left: dict[str, np.ndarray]) -> str:
+    """Whether the feedforward pays on this floor beside the skyhook loop alone, and from how loud a one."""
+    ratio = left["FeRLS"] / left["feedback"]
+    here, gain = float(np.interp(0.0, np.log(gains), ratio)), _pays_from(gains, ratio / WORTH)
+    pays = "pays" if here < WORTH else "does not pay"
+    off = f"it leaves at most {WORTH:g} of that loop's motion"
+    ends = {0.0: f"{off} on any", np.inf: f"not even {gains[-1]:.2g} times as loud a floor makes it"}
+    where = ends.get(gain, f"{off} from {gain:.2g} times this floor's amplitude on")
+    return f"The feedforward {pays} here: with it the platform moves {here:.2f} times as much as with the skyhook loop alone; {where}."
+
+
+def _pays_from(gains: np.ndarray, ratio: np.ndarray) -> float:
+    """The gain from which on a ratio stays below 1: 0 where it does at all, infinite where not at the last."""
+    pays = ratio < 1
+    if pays.all():
+        return 0.0
+    if not pays[-1]:
+        return np.inf
+    at = 1 + int(np.flatnonzero(~pays)[-1])
+    log = -np.log(ratio[at - 1 : at + 1])
+    return float(np.exp(np.interp(0.0, log, np.log(gains[at - 1 : at + 1]))))
 
 
 def paint_floor(floor: FloorSpectra):

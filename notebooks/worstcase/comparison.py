@@ -453,7 +453,7 @@ def paint_map(names: list[str], errors: np.ndarray):
     axes.grid(visible=False)
     # Beside few rows there is no height for the whole label.
     axes.set_ylabel("what is wrong (noise: input, output)" if len(names) > 8 else "what is wrong")
-    axes.set_title("error over that of the best, worst of four excitations")
+    axes.set_title("error over that of the best; a square: the worst of four cells, one an excitation")
     return figure
 
 

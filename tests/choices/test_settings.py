@@ -1,5 +1,6 @@
 """Settings found together, against hidden ones, closed forms and brute force."""
 
+import dataclasses
 import itertools
 import json
 from concurrent.futures import ThreadPoolExecutor
@@ -11,6 +12,7 @@ from choices.toy_work import axis
 from workbook import paths
 from workbook.checks import InputError
 from workbook.choices import settings
+from workbook.choices.kept import read_settings, settings_text, wanted
 from workbook.choices.results import results_text
 from workbook.choices.running import Journal, run_combinations
 from workbook.choices.settings import (
@@ -96,9 +98,21 @@ def test_three_hidden_settings_are_found_from_twelve_printed_numbers(paper):
     met = {tuple(each.others.values()): each.pieces for each in meetings(windows) if each.pieces}
     assert met["decay", "3.0"] == (pytest.approx((low, high), rel=1e-4),)
     assert report("motion", joint)[0].startswith("motion: all 12 printed numbers agree at once, calibrated")
-    paths.data("motion", "settings.csv").write_text(settings.settings_text(joint))
-    assert settings.read_settings("motion") == joint
-    assert settings.read_settings("budget") is None
+    paths.data("motion", "settings.csv").write_text(settings_text(joint))
+    assert read_settings("motion") == joint
+    assert read_settings("budget") is None
+    # Which number wants what, from a file with one number that wants an option and one that none explains.
+    ramp, *others = joint.settings
+    asked = dataclasses.replace(ramp, supports=("motion.table-1.y1", "motion.table-1.y3"))
+    never = ("motion.table-1.y2", "motion.table-2.y1")
+    file = paths.data("motion", "settings.csv")
+    file.write_text(settings_text(dataclasses.replace(joint, settings=(asked, *others), never=never)))
+    assert [ramp.axis, ramp.option] == ["shape", "ramp"]
+    first, *rest, last = wanted(file, ["shape"], never=["table-1"])
+    assert first == "shape ramp: table-1.y1, table-1.y3" and last == "under no setting: table-1.y2"
+    assert rest == ["shape sine: none", "shape decay (best joint): none"]
+    with pytest.raises(InputError, match="shap"):
+        wanted(file, ["shap"])
 
 
 @pytest.mark.slow

@@ -8,9 +8,10 @@ from workbook import paths
 from workbook.choices.axes import Multiverse, load_axes
 from workbook.choices.checking import moves, note, parts_a_day, today
 from workbook.choices.command import robustness_of
+from workbook.choices.kept import read_settings, settings_text
 from workbook.choices.results import read_results
 from workbook.choices.running import design
-from workbook.choices.settings import joint_settings, printed_entries, read_settings, settings_text
+from workbook.choices.settings import joint_settings, printed_entries
 from workbook.choices.windows import search_window, searches
 from workbook.claims import load_entries
 

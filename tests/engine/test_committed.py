@@ -114,7 +114,7 @@ def test_only_digits_of_numbers_that_are_not_whole_are_left_out(text, same):
 
 
 def test_nbval_notices_another_output(toy):
-    toy.replace(f"notebooks/{NAME}.ipynb", "'inside'", "'outside'")
+    toy.replace(f"notebooks/{NAME}.ipynb", "inside", "outside")
     done = nbval(toy)
     assert done.returncode == 1
     assert "1 failed" in done.stdout

@@ -15,7 +15,14 @@ from notebooks.isolation.convergence import (
     repeat_all,
     settling_times,
 )
-from notebooks.isolation.tracking import Response, respond, settled, switch_between, tracking_trial
+from notebooks.isolation.tracking import (
+    Response,
+    gain_by_trace,
+    respond,
+    settled,
+    switch_between,
+    tracking_trial,
+)
 from stillwork.base.checks import InputError
 from workbook.studies import run_study
 
@@ -139,3 +146,13 @@ def test_cases_run_together_and_in_part_again_are_those_of_each_alone():
             if case in cases[:2]:
                 assert np.array_equal(first[cases.index(case)][quantity], values[:3])
     assert found[2].values.keys() == found[3].values.keys() and found[2]["FeRLS tau"] is found[3]["FeRLS tau"]
+
+
+def test_the_trace_of_each_sample_speeds_up_weak_directions():
+    powers = np.array([0.1, 1.0, 1.0, 3.0])
+    turn, _ = np.linalg.qr(np.random.default_rng(3).standard_normal((4, 4)))
+    gain = gain_by_trace(turn * powers @ turn.T)
+    drawn = np.random.default_rng(4).standard_normal((4, 400_000)) * np.sqrt(powers)[:, None]
+    mean = (drawn**2 / np.sum(drawn**2, axis=0)).mean(axis=1)
+    assert gain == pytest.approx(mean / (powers / powers.sum()), rel=0.01)
+    assert gain_by_trace(np.eye(3)) == pytest.approx(np.ones(3), rel=1e-6)

@@ -7,6 +7,7 @@ from experiments.isolation.twin import load_twin
 from notebooks.isolation.your_floor import (
     crossing,
     described,
+    feedforward,
     isolate,
     isolator_of,
     open_floor,
@@ -119,3 +120,12 @@ def test_the_level_at_which_the_loop_pays_is_interpolated():
     twice = np.where(np.arange(7) == 1, 2.0, 0.5)  # it pays again from there on
     told = crossing(gains, {"passive": flat, "FeRLS": twice * flat})
     assert f"from {np.sqrt(gains[1] * gains[2]):.2g} times" in told
+
+
+def test_the_feedforward_pays_where_it_takes_a_tenth_off_the_loop_alone():
+    gains, flat = np.geomspace(0.1, 100, 7), np.ones(7)
+    told = feedforward(gains, {"feedback": flat, "FeRLS": 1.8 / gains})
+    assert "does not pay" in told and "1.80 times" in told and "from 2 times this floor's" in told
+    told = feedforward(gains, {"feedback": flat, "FeRLS": 0.5 * flat})
+    assert "pays here" in told and "0.50 times" in told and "on any" in told
+    assert "not even 1e+02 times as loud" in feedforward(gains, {"feedback": flat, "FeRLS": 0.95 * flat})

@@ -21,7 +21,7 @@ from stillwork.estimation import h2_riccati
 from stillwork.estimation.observer import kalman_observer
 from stillwork.lti import h2_norm
 from stillwork.lti.reduction import truncate
-from workbook.choices.settings import read_settings
+from workbook.choices.kept import read_settings
 
 SCALES = (0.06, 6e-9, 6e-9)
 

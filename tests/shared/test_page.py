@@ -54,8 +54,9 @@ def test_in_a_build_it_writes_where_the_runner_says(workbook, monkeypatch, tmp_p
     monkeypatch.setenv("STILLWORK_OUTPUT", str(tmp_path / "given"))
     page = Page("motion/01-x")
     page.save("fig-1", drawing())
-    assert page.check("motion.gain", 2.01) == "inside"
-    assert page.check("motion.gain", 2.5, interval=(2.4, 2.6)) == "outside"
+    page.check("motion.gain", 2.01)
+    assert "inside" in repr(page.claims)
+    assert page.check("motion.gain", 2.5, interval=(2.4, 2.6)) is None  # a word below a cell has no context
     folder = tmp_path / "given" / "motion" / "01-x"
     assert sorted(file.name for file in folder.iterdir()) == ["claims.json", "fig-1.csv", "fig-1.png"]
     assert json.loads((folder / "claims.json").read_text()) == {

@@ -15,7 +15,7 @@ from PIL import Image
 from workbook import paths
 from workbook.choices.axes import load_axes
 from workbook.choices.command import judged_ledger
-from workbook.choices.settings import read_settings
+from workbook.choices.kept import read_settings
 from workbook.claims import DISAGREEMENT, ledger
 from workbook.headlines import headlines, said_first
 from workbook.notebooks import select

@@ -552,7 +552,14 @@ def _positions(file: MachineFile) -> list[list[str]]:
 
 
 def nanometres(metres: float) -> str:
-    return f"{1e9 * metres:.3g} nm"
+    """Three digits, without an exponent where the error is of any interest.
+
+    Examples
+    --------
+    >>> nanometres(3.5278e-6), nanometres(6.163e-9)
+    ('3530 nm', '6.16 nm')
+    """
+    return f"{float(f'{1e9 * metres:.3g}'):.12g} nm"
 
 
 def _parts(budget: ErrorBudget) -> list[list[str]]:

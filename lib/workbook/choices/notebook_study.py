@@ -28,9 +28,8 @@ class _Recorder:
     def save(self, name, figure, rounding=None, shown=True):
         return figure
 
-    def check(self, claim: str, ours: float, interval: tuple[float, float] | None = None) -> str:
+    def check(self, claim: str, ours: float, interval: tuple[float, float] | None = None) -> None:
         self.found[claim] = ours if interval is None else (ours, tuple(map(float, interval)))
-        return ""
 
     def conclude(self, text, otherwise=None, /, when=True, **values):
         """Nothing: a study asks for values alone."""

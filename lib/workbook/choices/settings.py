@@ -4,9 +4,6 @@ A paper has one machine, one noise, one definition: axes are shared by name over
 this search is calibrated, never predicted, and the count of tries stands beside it.
 """
 
-import csv
-import io
-import json
 import math
 from collections import defaultdict
 from collections.abc import Iterable
@@ -18,9 +15,10 @@ import numpy as np
 from workbook import paths
 from workbook.choices.axes import load_axes, load_digits, option_text
 from workbook.choices.judging import judge
+from workbook.choices.kept import Joint, Setting, Window, settings_text
 from workbook.choices.results import read_results
 from workbook.choices.running import Journal
-from workbook.choices.windows import Window, windows_of
+from workbook.choices.windows import windows_of
 from workbook.claims import Entry, Tolerance, ledger, load_entries
 from workbook.lock import held
 from workbook.publish import replace_file
@@ -53,62 +51,6 @@ class Number:
 
     def at(self, chosen: dict[str, str]) -> bool:
         return self.agrees.get(tuple(chosen[axis] for axis in self.axes), False)
-
-
-@dataclass(frozen=True)
-class Setting:
-    """One option of one choice.
-
-    Attributes
-    ----------
-    axis, option : str
-    best : bool
-        Whether it is that of the best joint settings.
-    agree : int
-        How many numbers agree at once with it, at most.
-    supports, contradicts : tuple of str
-        Numbers that agree with it and not with every option; that agree with another option alone.
-    indifferent : int
-        Numbers that its choice touches and that agree with every option, or with none.
-    """
-
-    axis: str
-    option: str
-    best: bool
-    agree: int
-    supports: tuple[str, ...]
-    contradicts: tuple[str, ...]
-    indifferent: int
-
-
-@dataclass(frozen=True)
-class Joint:
-    """The best joint settings of a paper.
-
-    Attributes
-    ----------
-    agree, numbers : int
-        Printed numbers that agree at once, of how many.
-    tried : int
-        Combinations among which it is the best.
-    settings : tuple of Setting
-    lost, never : tuple of str
-        Numbers that agree under other settings only; that no setting explains.
-    windows : tuple of Window
-    """
-
-    agree: int
-    numbers: int
-    tried: int
-    settings: tuple[Setting, ...]
-    lost: tuple[str, ...]
-    never: tuple[str, ...]
-    windows: tuple[Window, ...] = ()
-
-    @property
-    def best(self) -> dict[str, str]:
-        """Option of each axis."""
-        return {each.axis: each.option for each in self.settings if each.best}
 
 
 def printed_entries(topic: str) -> dict[str, Entry]:
@@ -349,46 +291,7 @@ def _climbed(numbers: list[Number], options, defaults, names: list[str]):
     return best, at_most, len(tried)
 
 
-# === Kept and shown ===============================================================================================
-
-
-def settings_text(joint: Joint) -> str:
-    """Text of ``settings.csv``: a row begins with what it is."""
-    text = io.StringIO()
-    write = csv.writer(text, lineterminator="\n").writerow
-    write(["joint", joint.agree, joint.numbers, joint.tried])
-    for each in joint.settings:
-        lists = [" ".join(each.supports), " ".join(each.contradicts)]
-        write(["setting", each.axis, each.option, int(each.best), each.agree, *lists, each.indifferent])
-    for kind, names in {"lost": joint.lost, "never": joint.never}.items():
-        for name in names:
-            write([kind, name])
-    for each in joint.windows:
-        held = json.dumps(dict(each.others), ensure_ascii=False)
-        write(["window", each.axis, each.number, held, *(end for piece in each.pieces for end in piece)])
-    return text.getvalue()
-
-
-def read_settings(topic: str) -> Joint | None:
-    """What was kept of a topic; None where nothing was."""
-    file = paths.data(topic, "settings.csv")
-    if not file.exists():
-        return None
-    rows = defaultdict(list)
-    for kind, *row in csv.reader(io.StringIO(file.read_text(encoding="utf-8"))):
-        rows[kind].append(row)
-    settings = [
-        Setting(axis, option, best == "1", int(agree), tuple(yes.split()), tuple(no.split()), int(rest))
-        for axis, option, best, agree, yes, no, rest in rows["setting"]
-    ]
-    windows = [
-        Window(axis, number, tuple(json.loads(held).items()), tuple(zip(ends[::2], ends[1::2], strict=True)))
-        for axis, number, held, *texts in rows["window"]
-        for ends in [[float(text) for text in texts]]
-    ]
-    lost, never = (tuple(name for (name,) in rows[kind]) for kind in ("lost", "never"))
-    agree, numbers, tried = map(int, rows["joint"][0])
-    return Joint(agree, numbers, tried, tuple(settings), lost, never, tuple(windows))
+# === Shown ===============================================================================================
 
 
 @dataclass(frozen=True)

@@ -6,12 +6,13 @@ import math
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from concurrent.futures import as_completed
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise, product
 
 import numpy as np
 
 from workbook.choices.axes import POINTS, Axis, Multiverse
+from workbook.choices.kept import Window
 from workbook.choices.notebook_study import study_digest
 from workbook.choices.running import Journal, calls_at, compute, design
 from workbook.claims import Entry
@@ -22,28 +23,6 @@ FITS = 3  # of a study whose values join the options of its choices
 FAR = 1e6  # tolerances from the printed number, at most
 DIGITS = 5  # of a window's ends
 LOGARITHMIC = 50  # ratio of the ends of a range from which on it is divided by ratios
-
-Pieces = tuple[tuple[float, float], ...]
-
-
-@dataclass(frozen=True)
-class Window:
-    """Where a printed number comes out.
-
-    Attributes
-    ----------
-    axis, number : str
-        Name of the choice, id of the entry.
-    others : tuple of (str, str)
-        Axis and option of the other choices that move it.
-    pieces : tuple of (float, float)
-        In the choice's unit, ascending; empty where it comes out nowhere in the range.
-    """
-
-    axis: str
-    number: str
-    others: tuple[tuple[str, str], ...]
-    pieces: Pieces
 
 
 def windows_of(

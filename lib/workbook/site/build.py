@@ -16,7 +16,8 @@ from workbook import paths, publish
 from workbook.checks import InputError
 from workbook.choices.axes import load_axes
 from workbook.choices.command import judged_ledger
-from workbook.choices.settings import ranges, read_settings
+from workbook.choices.kept import read_settings
+from workbook.choices.settings import ranges
 from workbook.claims import KINDS, VERDICTS, Claim
 from workbook.headlines import headlines, said_first
 from workbook.notebooks import notebook_file

@@ -2,7 +2,8 @@
 
 from dataclasses import dataclass
 
-from workbook.choices.settings import Joint, Meeting, meetings
+from workbook.choices.kept import Joint
+from workbook.choices.settings import Meeting, meetings
 
 WIDTH, ROW = 460, 16  # of the bars; height of one
 LEAST = 2.0  # width of a bar that can be seen
