@@ -683,7 +683,7 @@ Compiled filters at their printed settings, timed by `benchmarks/fixedpoint.py -
     }
     for name in study:
         page.show(
-            f"{name:22s} {cost[name]:.0f} ns a sample, {cost[name] / cost[LOW_PASS]:.0f} times the low pass"
+            f"{called(name):22s} {cost[name]:.0f} ns a sample, {cost[name] / cost[LOW_PASS]:.0f} times the low pass"
         )
     errors = {name: 1e3 * study[name]["velocity"].mean() for name in study}
     page.save("cost", paint_cost_against_error(cost, errors, "RMS error of q', Gaussian noise (mm/s)"))
