@@ -808,8 +808,33 @@ def appendix(
     _of_choices(page, seed, study)
     _of_structure(page, fitted, low_pass_hz)
     _of_starts(page, fitted, floor, expected[fitted.name], given, low_pass_hz, seed)
+    _of_spreads(page, low_pass_hz)
     _of_settings(page)
     page.text(LIMITS)
+
+
+def _of_spreads(page, low_pass_hz: float) -> None:
+    page.text("""## Normalised and pre-whitened LMS
+
+Fastest over slowest rate of the mean from exact spectra (the eigenvalue spread), and the slowest time constant, for FeLMS, for LMS
+with each regressor divided by its power (normalised), for pre-whitened LMS, which flattens the floor before $N$, and for FeRLS:""")
+    for name, (spread, slowest) in eigenvalue_spreads(low_pass_hz).items():
+        page.show(f"{name}: {spread:.1f}, {slowest:.0f} s")
+
+
+def eigenvalue_spreads(low_pass_hz: float) -> dict[str, tuple[float, float]]:
+    """Fastest over slowest rate of the mean, and slowest time constant (s), of FeLMS, its variants and FeRLS."""
+    twin, white_floor = load_twin("fitted"), flat_floor(2400.0, high_pass_hz=0.1)
+    steady, white = (steady_state(twin, floor) for floor in (flat_floor(low_pass_hz), white_floor))
+    powers = np.kron(np.eye(twin.actuators), np.diag(1 / np.diag(steady.correlation)))
+    printed = twin.sample_time / STEP_SIZE
+    rates = {
+        "FeLMS (trace)": (steady.lms_eigenvalues.real, printed),
+        "normalised": (np.linalg.eigvals(powers @ steady.update).real / twin.regressors, printed),
+        "pre-whitened": (white.lms_eigenvalues.real, printed),
+        "FeRLS": (steady.rls_eigenvalues.real, MEMORY_S),
+    }
+    return {name: (each.max() / each.min(), unit / each.min()) for name, (each, unit) in rates.items()}
 
 
 def _of_settings(page) -> None:
