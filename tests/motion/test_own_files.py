@@ -31,6 +31,7 @@ def complex_rows(write):
 
 OBEYED = {
     "byte order mark": table(ROWS).encode("utf-8-sig"),
+    "utf-16": table(ROWS).encode("utf-16"),
     "complex with spaces": complex_rows(
         lambda z: f"{z.real:.8g} {'+-'[int(z.imag < 0)]} {abs(z.imag):.8g}i"
     ).encode(),
@@ -50,7 +51,7 @@ REFUSED = {
     "names alone": (PARTS + "\n", "no rows; give rows"),
     "five lines": (table(ROWS[:5]), "5 usable lines are too few.* at least 32"),
     "unsorted": (table(ROWS[::-1]), "does not rise from line to line; sort"),
-    "utf-16": (table(ROWS).encode("utf-16"), "not text in UTF-8; save it"),
+    "no text": (bytes(range(1, 256)), "not text in UTF-8; save it"),
 }
 
 

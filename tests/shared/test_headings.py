@@ -399,6 +399,7 @@ def test_a_coherence_is_at_most_one(tmp_path, name, factor, taken):
         "File:\ta.svd\nIndex:\t1\nTime\tWay\n[ s ]\t[ mm ]\n0\t0\n0.5\t1.5\n1\t2\n",
         "! VENDOR, X, 1\n! Date: 1.2.2024\n! time (s), way (mm)\n0,0\n0.5,1.5\n1,2\n",
         "Trace 1;Trace 1\nTime (s);Way (mm)\n0;0\n0,5;1,5\n1;2\n",
+        "s,mm\ntime,way\n0,0\n0.5,1.5\n1,2\n",  # units above the names
     ],
 )
 def test_the_decimal_mark_is_that_of_all_rows(tmp_path, text):
@@ -409,6 +410,34 @@ def test_the_decimal_mark_is_that_of_all_rows(tmp_path, text):
     assert [heading(name).meaning.si for name in found] == ["s", "m"]
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "Zeit in s;Weg in mm\n0,5;1.020,5\n1;2.040\n",
+        "time (s);way (mm)\n0.5;1,020.5\n1;2,040\n",
+        'time (s),way (mm)\n0.5,"1,020.5"\n1,"2,040"\n',
+        "Zeit in s;Weg in mm\n0,5;1\u202f020,5\n1;2\u202f040\n",
+        "time (s)\tway (mm)\n0.5\t1'020.5\n1\t2'040\n",
+    ],
+)
+def test_thousands_may_stand_apart(tmp_path, text):
+    (tmp_path / "a.csv").write_text(text, encoding="utf-8")
+    assert [each.tolist() for each in read_arrays(tmp_path / "a.csv").values()] == [[0.5, 1], [1020.5, 2040]]
+
+
+@pytest.mark.parametrize("rows", ["0.5;1,020\n1;2,040\n", "0,5;10.5\n1;1.020,5\n", "0,5;0.998\n1;1.020,5\n"])
+def test_a_mark_that_may_stand_for_either_is_refused(tmp_path, rows):
+    (tmp_path / "a.csv").write_text(f"time (s);way (mm)\n{rows}")
+    with pytest.raises(InputError, match="is not a number"):
+        read_arrays(tmp_path / "a.csv")
+
+
+@pytest.mark.parametrize("encoding", ["cp1252", "utf-16", "utf-8-sig"])
+def test_a_text_is_read_in_the_letters_of_windows(tmp_path, encoding):
+    (tmp_path / "a.csv").write_text("time (s),Weg (\u00b5m)\n0,1\n1,2\n", encoding=encoding)
+    assert heading([*read_arrays(tmp_path / "a.csv")][1]).meaning.factor == 1e-6
+
+
 @pytest.mark.parametrize("above", ["", "a note\n", "made,by,hand\nLength,3\n"])
 def test_a_fault_in_the_first_row_makes_no_names_of_it(tmp_path, above):
     (tmp_path / "a.csv").write_text(above + "time,x\n0,oops\n1,2\n2,3\n")
@@ -417,24 +446,38 @@ def test_a_fault_in_the_first_row_makes_no_names_of_it(tmp_path, above):
 
 
 def lvm(x_column, comma):
-    """A text as LabVIEW writes it: two headers, X in the first column or not, a column for comments."""
+    """A text as LabVIEW writes it: two headers, X in the first column, beside each channel or not, a column for comments."""
     rows = [(k / 500, math.sin(k), math.cos(k)) for k in range(300)]
     lines = ["LabVIEW Measurement", "Separator\tTab", f"Decimal_Separator\t{',' if comma else '.'}"]
-    lines += [f"X_Columns\t{'One' if x_column else 'No'}", "***End_of_Header***", "", "Channels\t2"]
+    lines += [f"X_Columns\t{x_column}", "***End_of_Header***", "", "Channels\t2"]
     lines += ["Y_Unit_Label\tg\tNewtons", "X_Dimension\tTime\tTime", "X0\t0.0E+0\t0.0E+0"]
-    lines += ["Delta_X\t2.000000E-3\t2.000000E-3", "***End_of_Header***", "X_Value\tPlate\tHammer\tComment"]
-    lines += ["\t".join([repr(x) if x_column else "", f"{y:.9f}", f"{z:.9f}"]) for x, y, z in rows]
+    lines += ["Delta_X\t2.000000E-3\t2.000000E-3", "***End_of_Header***"]
+    again = ["X_Value"] * (x_column == "Multi")
+    lines += ["\t".join(["X_Value", "Plate", *again, "Hammer", "Comment"])]
+    for x, y, z in rows:
+        at = "" if x_column == "No" else repr(x)
+        lines += ["\t".join([at, f"{y:.9f}", *[at for _ in again], f"{z:.9f}"])]
     text = "\n".join(lines) + "\n"
     return text.replace(".", ",") if comma else text
 
 
-@pytest.mark.parametrize(("x_column", "comma"), [(True, True), (False, False)])
+@pytest.mark.parametrize(("x_column", "comma"), [("One", True), ("No", False), ("Multi", True)])
 def test_a_text_of_labview_has_its_time_and_units(tmp_path, x_column, comma):
     (tmp_path / "a.lvm").write_text(lvm(x_column, comma))
     record = load_record(tmp_path / "a.lvm", channels=["Plate (g)"])
     assert record.sample_rate == pytest.approx(500) and record.unit == "m/s^2"
     np.testing.assert_allclose(record.signals[0], G * np.sin(np.arange(300)), atol=1e-7)
     assert "Hammer (Newtons)" in read_arrays(tmp_path / "a.lvm")
+
+
+def test_a_text_of_labview_states_its_frequencies_alone(tmp_path):
+    text = (
+        lvm("No", comma=True)
+        .replace("Time\tTime", "Frequency\tFrequency")
+        .replace("X0\t0,0E+0", "X0\t5,0E+0")
+    )
+    (tmp_path / "a.lvm").write_text(text)
+    assert read_arrays(tmp_path / "a.lvm")["frequency (Hz)"][:2] == pytest.approx([5.0, 5.002])
 
 
 def test_a_unit_beside_a_member_of_a_structure_is_that_of_its_name(tmp_path):

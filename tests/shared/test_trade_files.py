@@ -79,6 +79,14 @@ def tdms(file, channels, group="Untitled"):
         )
 
 
+def attributes(file):
+    """As other writers state units: by a name with capitals, in an array of one text."""
+    hdf5(file, {"freq": HZ, "mag": DECIBELS, "phase": ANGLE})
+    with h5py.File(file, "r+") as opened:
+        opened["mag"].attrs["Unit"] = "dB"
+        opened["phase"].attrs["UNITS"] = np.array([b"rad"])
+
+
 def savetxt(columns, **options):
     return lambda file: np.savetxt(file, np.column_stack(columns), **options)
 
@@ -113,6 +121,7 @@ WRITTEN = {
     "two.h5": lambda file: hdf5(file, {"f": HZ, "frf": ACCELERANCE}),
     "units.hdf5": lambda file: hdf5(file, {"m/w": (TURN * HZ, "rad/s"), "m/H": (1e6 * COMPLIANCE, "um/N"), "by": "me"}),
     "parts.h5": lambda file: hdf5(file, {"frequency": HZ, "H": PARTS}),
+    "attributes.h5": attributes,
     "outputs.h5": lambda file: hdf5(file, {"freq": HZ, "H": ACCELERANCE[:, None, None]}),
     "structure.mat": lambda file: savemat(file, SHAPED),
     "array.mat": lambda file: savemat(file, {"s": np.array([SHAPED["shapeit_data"], {"note": "x"}], dtype=object)}),
@@ -168,6 +177,23 @@ def test_a_waveform_of_labview_is_a_record(tmp_path):
         {"Time": (start + np.arange(500) * np.timedelta64(10, "ms"), {}), "z": (ROWS[0], {})},
     )
     assert load_record(tmp_path / "b.tdms", "m").sample_rate == pytest.approx(100)
+
+
+def test_one_of_several_columns_is_chosen_by_a_part_of_its_name(tmp_path):
+    """As an oscilloscope lists it, with the drive beside the gain; and a number of another unit beside a response."""
+    text("#,Frequency (Hz),Amplitude (Vpp),Gain (dB),Phase (deg)", HZ, HZ, HZ, DECIBELS, np.degrees(ANGLE))(
+        tmp_path / "a.csv"
+    )
+    with pytest.raises(InputError, match=r"Vpp.*a part of the name"):
+        load_machine(tmp_path / "a.csv")
+    assert load_machine(tmp_path / "a.csv", response="Gain").accelerance.response == pytest.approx(
+        ACCELERANCE
+    )
+    tdms(
+        tmp_path / "a.tdms",
+        {"f": (HZ, {}), "H": (ACCELERANCE, {}), "temp": (np.ones(1), {"unit_string": "degC"})},
+    )
+    assert load_machine(tmp_path / "a.tdms").accelerance.response == pytest.approx(ACCELERANCE)
 
 
 def test_channels_of_one_name_are_told_apart_by_their_groups(tmp_path):

@@ -148,11 +148,12 @@ class Command(NamedTuple):
     def by_options(self, text: str) -> str:
         """A text with the arguments of the function named as the options are: fit_hz is --fit-hz."""
         longer = {word[2:].replace("-", "_"): word for word in self.words if "-" in word[2:]}
-        return (
-            re.sub(rf"(?<![\w./-])({'|'.join(longer)})(?![\w/]|\.\w)", lambda found: longer[found[0]], text)
-            if longer
-            else text
-        )
+        text, known, names = text.partition("; known: ")  # of a file
+        if longer:
+            text = re.sub(
+                rf"(?<![\w./-])({'|'.join(longer)})(?![\w/]|\.\w)", lambda found: longer[found[0]], text
+            )
+        return text + known + names
 
     @property
     def works_here(self) -> bool:

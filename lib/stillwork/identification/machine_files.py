@@ -64,8 +64,13 @@ def kind_of(arrays: dict[str, np.ndarray]) -> str:
         return "frequency response"
     if any(heading(name).quantity == "force" for name in arrays):
         return "hammer records"
-    held = ", ".join(f"{name} ({' x '.join(map(str, array.shape)) or '1'})" for name, array in arrays.items())
-    raise InputError(f"it holds {held or 'nothing'}, but not {FORMS}; name its columns like this")
+    raise InputError(f"it holds {_held(arrays)}, but not {FORMS}; name its columns like this")
+
+
+def _held(arrays: Mapping[str, np.ndarray]) -> str:
+    """Names and shapes."""
+    shapes = {name: " x ".join(map(str, array.shape)) or "1" for name, array in arrays.items()}
+    return ", ".join(f"{name} ({shape})" for name, shape in shapes.items()) or "nothing"
 
 
 @checked(missing=True)
@@ -140,8 +145,10 @@ def load_machine(
             model = _from_matrices(arrays, damping_ratio)
             return MachineFile(kind, file.name, model=model, units=(units[0], units[2]))
         named = response.partition("[")[0]
-        read = [each for each in (response, named) if each in arrays] or list(arrays)
-        _require_known(read)
+        read = [each for each in (response, named) if each in arrays] or [
+            name for name in arrays if name in _called(arrays, heading(name).quantity, response)
+        ]
+        _require_known(name for name in read if arrays[name].size > 1 or heading(name).quantity)
         stated = stated_units(response_names({name: arrays[name] for name in read}))
         response_unit = _agreed("response_unit", response_unit, stated[0])
         force_unit = _agreed("force_unit", force_unit, stated[1])
@@ -292,7 +299,8 @@ def _require_known(names: Iterable[str]) -> None:
             found = replace(found, unknown=found.unit)  # counts of an accelerometer
         if refusal := found.refusal(found.quantity or "real"):
             raise InputError(
-                f"{name}: {refusal}; give response_unit and force_unit where they differ from m/s^2 and N"
+                f"{name}: {refusal}; give response_unit and force_unit where they differ from m/s^2 and N, and where this "
+                "column is not the response, a part of the name of the one that is, as response"
             )
 
 
@@ -327,7 +335,7 @@ def _from_response(
         name: np.ravel(array) for name, array in arrays.items() if array.size == hertz.size and name != axis
     }
     same |= complex_responses(arrays)
-    values, readings = _response(same, response, read_as or {})
+    values, readings = _response(arrays, same, response, read_as or {})
     notes = tuple(f"taken: {each.column}" for each in readings if each.quantity == "complex")
     values = require_array("response", values, dtype=complex)
     seen = np.full(hertz.size, np.nan)
@@ -350,7 +358,7 @@ def _from_response(
 
 
 def _response(
-    same: dict[str, np.ndarray], response: str, read_as: Mapping[str, str]
+    arrays: dict[str, np.ndarray], same: dict[str, np.ndarray], response: str, read_as: Mapping[str, str]
 ) -> tuple[np.ndarray, list[Reading]]:
     """The complex response of columns of one length, in the unit that these state, and what they were taken for."""
     complex_ones = [name for name in same if np.iscomplexobj(same[name])]
@@ -379,8 +387,8 @@ def _response(
         )
     if not whole:
         raise InputError(
-            "there is no response beside the frequency; give complex values, real and imaginary, or magnitude "
-            "and phase"
+            f"there is no response beside the frequency in {_held(arrays)}; give complex values, real and imaginary, or "
+            "magnitude and phase"
         )
     (first, second), names = next(iter(whole.items()))
     (one, taken), (other, also) = (
@@ -399,7 +407,7 @@ def _plain(unit: Unit) -> float:
     return unit.factor if unit.si == "1" else 1.0
 
 
-def _called(same: dict[str, np.ndarray], quantity: str, response: str) -> list[str]:
+def _called(same: Mapping[str, np.ndarray], quantity: str, response: str) -> list[str]:
     """The names of the columns of a quantity, or those of them that `response` is a part of."""
     names = [name for name in same if heading(name).quantity == quantity]
     return [name for name in names if response and response in name] or names

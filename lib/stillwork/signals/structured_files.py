@@ -156,10 +156,11 @@ def _hdf5(path: Path) -> dict:
         if each.dtype.names:  # a table, or complex numbers by their parts
             tree.update({f"{name}.{field}": values[field] for field in each.dtype.names})
             return
-        unit = each.attrs.get("units", each.attrs.get("unit", ""))
         tree[name] = values
-        if unit := unit.decode(errors="replace") if isinstance(unit, bytes) else unit:
-            tree[f"{name}Unit"] = unit
+        for key, stated in each.attrs.items():
+            if key.lower() in ("unit", "units") and np.size(stated) == 1:
+                unit = np.ravel(stated)[0]
+                tree[f"{name}Unit"] = unit.decode(errors="replace") if isinstance(unit, bytes) else str(unit)
 
     with h5py.File(path) as file:
         file.visititems(take)

@@ -1,5 +1,6 @@
 """Tables of numbers in texts: separators, decimal marks, notes above the names, and units below them."""
 
+import codecs
 import csv
 import itertools
 import re
@@ -32,6 +33,8 @@ MISSING = (
     "NULL",
     "None",
 )  # fields without a number
+X = "X_Value"  # of LabVIEW, a column of what the others stand over
+SPACES = "'\u2019\u00a0\u202f\u2009 "  # that may stand between thousands
 MOMENT = re.compile(  # a date, a time of day
     r"\s*(\d{1,4}[-/]\d{1,2}[-/]\d{1,4}|\d{1,2}\.\d{1,2}\.\d{4}|\d{1,2}:\d{2}).*"
 )
@@ -42,8 +45,9 @@ def read_csv(path: Path) -> dict[str, np.ndarray]:
     """Each column of a text by its name, real or complex."""
     pd = require_package("pandas")
 
-    text = _look_through(path)
     try:
+        encoding = _encoding(path)
+        text = _look_through(path, encoding)
         with warnings.catch_warnings():
             # It warns of columns without a name that it drops: they were seen to be empty.
             warnings.simplefilter("ignore", pd.errors.ParserWarning)
@@ -56,9 +60,9 @@ def read_csv(path: Path) -> dict[str, np.ndarray]:
                 skiprows=text.skipped,
                 index_col=False,
                 skipinitialspace=True,
-                encoding="utf-8-sig",
+                encoding=encoding,
             )
-    except UnicodeDecodeError:
+    except UnicodeError:
         raise InputError(f"{path.name} is not text in UTF-8; save it as such") from None
     except (pd.errors.ParserError, pd.errors.EmptyDataError) as error:
         raise InputError(f"{path.name} is not a table ({error}); give rows of equally many numbers") from None
@@ -73,6 +77,8 @@ def read_csv(path: Path) -> dict[str, np.ndarray]:
         words = column[np.isnan(numbers) & column.notna().to_numpy()]
         if len(words) and (whole := _complex(column)) is not None:
             numbers = whole
+        elif len(words) and (whole := _ungrouped(column, text)) is not None:
+            numbers = whole
         elif len(words):
             wrong = "not a number; correct it"
             if MOMENT.fullmatch(words.iloc[0]):
@@ -86,28 +92,35 @@ def read_csv(path: Path) -> dict[str, np.ndarray]:
 
 @checked
 def read_lvm(path: Path) -> dict[str, np.ndarray]:
-    """A text of LabVIEW: its header states what X is, and the units; X may be left out of the rows."""
+    """A text of LabVIEW: its header states what X is, and the units; X may stand beside each channel, or be left out."""
     columns = read_csv(path)
     stated: dict[str, list[str]] = {}
-    with path.open(encoding="utf-8-sig", errors="replace") as file:
+    mark = "\t"
+    with path.open(encoding=_encoding(path)) as file:
         for line in itertools.islice(file, MOST_ABOVE):
-            key, *values = (each.strip() for each in line.split("\t"))
+            mark = "," if line.startswith("Separator,") else mark
+            key, *values = (each.strip() for each in line.split(mark))
             stated.setdefault(key, values)
-    x = columns.pop("X_Value", np.full(0, np.nan))
+    axes = [columns.pop(name) for name in [*columns] if name.partition(" #")[0] == X]
+    x = axes[0] if axes else np.full(0, np.nan)
+    if any(not np.array_equal(x, other, equal_nan=True) for other in axes):
+        raise InputError(f"{path.name} holds channels over different X; export those that belong together")
     if np.isnan(columns.get("Comment", [0.0])).all():
         del columns["Comment"]
     pairs = itertools.zip_longest(columns, stated.get("Y_Unit_Label", [])[: len(columns)], fillvalue="")
     names = [f"{name} ({unit})" if unit else name for name, unit in pairs]
     channels = dict(zip(names, columns.values(), strict=True))
-    if stated.get("X_Dimension", [""])[0] != "Time":
-        return channels | ({"X_Value": x} if np.isfinite(x).any() else {})
+    what, unit = (stated.get(key, [""])[0] for key in ("X_Dimension", "X_Unit_Label"))
+    axis = {"Time": f"time ({unit or 's'})", "Frequency": f"frequency ({unit or 'Hz'})"}.get(what)
+    if axis is None:
+        return channels | ({X: x} if np.isfinite(x).any() else {})
     if not np.isfinite(x).any():
         try:
-            step = float(stated["Delta_X"][0].replace(",", "."))
+            first, step = (float(stated[key][0].replace(",", ".")) for key in ("X0", "Delta_X"))
         except (KeyError, IndexError, ValueError):
-            raise InputError(f"{path.name} states no Delta_X; export it with its X column") from None
-        x = step * np.arange(len(next(iter(columns.values()), x)))
-    return {"time (s)": x} | channels
+            raise InputError(f"{path.name} states no X0 and Delta_X; export it with its X column") from None
+        x = first + step * np.arange(len(next(iter(columns.values()), x)))
+    return {axis: x} | channels
 
 
 @by_value
@@ -117,15 +130,30 @@ class _Text:
 
     separator: str
     decimal: str
+    apart: str  # what may stand between thousands
     names: list[str]
     skipped: list[int]  # lines that hold no numbers, from 0
 
 
-def _look_through(path: Path) -> _Text:
+def _encoding(path: Path) -> str:
+    """Of a text: UTF-16 by its mark, UTF-8, or else that of Windows, in which instruments write degrees and micrometres."""
+    with path.open("rb") as file:
+        if file.read(2) in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
+            return "utf-16"
+    with path.open("rb") as file:
+        try:
+            for _ in codecs.iterdecode(iter(lambda: file.read(2**20), b""), "utf-8"):
+                pass
+        except UnicodeDecodeError:
+            return "cp1252"
+    return "utf-8-sig"
+
+
+def _look_through(path: Path, encoding: str) -> _Text:
     """Look through a text once: its separator, the decimal mark of all its rows, its names, and the lines to skip."""
     skipped: list[int] = []
     comments: list[str] = []
-    lines = _lines(path, skipped, comments)
+    lines = _lines(path, encoding, skipped, comments)
     head = list(itertools.islice(lines, MOST_ABOVE))
     given = ""
     if head and (found := re.fullmatch(r'"?sep=(.)"?', head[0][1])):  # of Excel
@@ -141,10 +169,14 @@ def _look_through(path: Path) -> _Text:
     skipped += [number for number, _ in head[:below]]
     rows = (line for _, line in itertools.chain(head[below:], lines))
     points = commas = False
+    last = ""  # of both marks in one number, the one behind
     widest, at = 0, 0
     for row, line in enumerate(rows, 1):
         quoted = separator == "," and '"' in line and any("," in each for each in _fields(line, separator, 0))
         points, commas = points or "." in line, commas or quoted or (separator != "," and "," in line)
+        if not last and points and commas:
+            each = "\t".join(_fields(line, separator, 0)) if separator == "," else line
+            last = both[2] if (both := re.search(r"\d([.,])\d{3}(?!\1)([.,])\d", each)) else ""
         if (width := _width(line, separator)) > widest:
             widest, at = width, row
     if not widest:
@@ -155,9 +187,12 @@ def _look_through(path: Path) -> _Text:
             "column a name, or none, and every row as many values"
         )
     names = [name or f"column {number}" for number, name in enumerate(names or [""] * widest, 1)]
+    # LabVIEW may put X beside each channel.
+    names = [f"{X} #{k}" if name == X and X in names[:k] else name for k, name in enumerate(names)]
     if again := next((name for name in names if names.count(name) > 1), ""):
         raise InputError(f"{path.name} names two columns {again!r}; give each a name of its own")
-    return _Text(separator, "," if commas and not points else ".", names, skipped)
+    decimal = last or ("," if commas and not points else ".")
+    return _Text(separator, decimal, SPACES + ".,".strip(decimal) * bool(last), names, skipped)
 
 
 def _first_row(lines: list[str], given: str) -> tuple[str, int]:
@@ -185,15 +220,29 @@ def _names(lines: list[str], separator: str, first: int) -> tuple[list[str], int
     """
     width = len(_fields(lines[first], separator, 0)) if first < len(lines) else 0
     above = [_fields(line, separator, width) for line in lines[:first]]
-    units = [each.strip("()[] ") for each in above[-1]]
-    known = [each for each in units if meaning(each) and not _is_number(each)]
-    if first > 1 and 2 * len(known) >= max(len([*filter(None, units)]), 1) and len(above[-2]) >= len(units):
-        pairs = itertools.zip_longest(above[-2], units, fillvalue="")
-        return [f"{name} ({unit})" if unit else name for name, unit in pairs], first
+    known = _units(above[-1])
+    if (
+        first > 1
+        and 2 * len(known) >= max(len([*filter(None, above[-1])]), 1)
+        and len(above[-2]) >= len(above[-1])
+    ):
+        return _with_units(above[-2], above[-1]), first
     at = first - 1
     while at and len(above[at - 1]) == len(above[at]) and any(map(_is_number, above[at])):
         at -= 1
+    if at and len(_units(above[at - 1])) == len(above[at]):
+        return _with_units(above[at], above[at - 1]), at + 1
     return above[at], at + 1
+
+
+def _units(fields: list[str]) -> list[str]:
+    """Those that are units."""
+    return [each for each in fields if meaning(each.strip("()[] ")) and not _is_number(each)]
+
+
+def _with_units(names: list[str], units: list[str]) -> list[str]:
+    pairs = itertools.zip_longest(names, (each.strip("()[] ") for each in units), fillvalue="")
+    return [f"{name} ({unit})" if unit else name for name, unit in pairs]
 
 
 def _commented(comments: list[str], separator: str, width: int) -> list[str]:
@@ -207,13 +256,13 @@ def _commented(comments: list[str], separator: str, width: int) -> list[str]:
     return []
 
 
-def _lines(path: Path, skipped: list[int], comments: list[str]) -> Iterator[tuple[int, str]]:
+def _lines(path: Path, encoding: str, skipped: list[int], comments: list[str]) -> Iterator[tuple[int, str]]:
     """The lines of a text with their numbers from 0; those that hold nothing or begin with # are `skipped`.
 
     `comments` takes what stands behind the # right above the first of them.
     """
     first = True
-    with path.open(encoding="utf-8-sig", errors="replace") as file:
+    with path.open(encoding=encoding) as file:
         for number, line in enumerate(iter(lambda: file.readline(LONGEST_LINE + 1), "")):
             if len(line) > LONGEST_LINE:
                 raise InputError(
@@ -234,6 +283,24 @@ def _complex(column) -> np.ndarray | None:
     plain = column.fillna("nan").astype(str).str.replace(r"[\s()]", "", regex=True)
     try:
         return np.array([complex(each.replace("i", "j") if each[-1:] == "i" else each) for each in plain])
+    except ValueError:
+        return None
+
+
+def _grouped(apart: str, decimal: str) -> str:
+    """The pattern of a number whose thousands stand apart, by one of these marks."""
+    return rf"[+-]?[1-9]\d{{0,2}}(?P<apart>[{apart}])\d{{3}}(?:(?P=apart)\d{{3}})*(?:[{decimal}]\d*)?(?:[eE][+-]?\d+)?"
+
+
+def _ungrouped(column, text: _Text) -> np.ndarray | None:
+    """A column of numbers of which some have their thousands apart; None where one is none."""
+    plain = column.fillna("nan").astype(str).str.strip()
+    whole = plain.str.fullmatch(_grouped(text.apart, text.decimal))
+    if not whole.any() or plain[~whole].str.contains(f"[{text.apart}]").any():
+        return None
+    plain = plain.str.replace(f"[{text.apart}]", "", regex=True).str.replace(text.decimal, ".", regex=False)
+    try:
+        return plain.to_numpy(dtype=float)
     except ValueError:
         return None
 
@@ -260,7 +327,9 @@ def _width(line: str, separator: str) -> int:
 
 
 def _is_number(text: str) -> bool:
-    """Whether a text is a number, with a decimal comma too, or a complex one."""
+    """Whether a text is a number, with a decimal comma or thousands apart too, or a complex one."""
+    if re.fullmatch(_grouped(f"{SPACES}.,", ".,"), text):
+        return True
     try:
         complex(re.sub(r"[()]|\s+(?=[+-])|(?<=[+-])\s+", "", text).replace(",", ".").replace("i", "j"))
     except ValueError:
