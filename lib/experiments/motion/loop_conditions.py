@@ -46,8 +46,10 @@ def keeps_integral_action(compensator: StateModel, application: str) -> Observer
     """
     compensates = application == "compensation"
     gains = static_gain(compensator)[int(compensates)]
-    omega = np.unique(np.abs(compensator.poles))
-    peak = np.abs(compensator.frequency_response(omega)[int(compensates)]).max(axis=1)
+    poles = compensator.poles
+    peak = np.abs(compensator.frequency_response(np.abs(poles[poles.imag >= 0]))[int(compensates)]).max(
+        axis=1
+    )
     from_force, from_output = np.abs(gains) <= 1e-9 * peak
     return ObserverConditions(*gains.tolist(), bool(from_output and (from_force or not compensates)))
 
