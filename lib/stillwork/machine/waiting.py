@@ -22,6 +22,7 @@ from stillwork.lti.discretisation import prewarped
 
 FINE = np.arange(0.5, 8.0)  # samples between whole ones that are tried, of the loop's delay
 MOST_WAITS = 48
+LONGEST = 100  # samples of the loop's delay, that are tried: each is a state of the controller
 LEADS = (2.25, 3.0, 4.0, 16 / 3, 64 / 9)  # those that a tuning passes through
 RATIO, HALVINGS = 1.1, 5  # of two bandwidths on the way up, and how often the last step is halved: 0.3 %
 ROUNDS = 60  # of adding places of the box
@@ -29,12 +30,12 @@ WORTH = 0.003  # relative gain in bandwidth for which a search goes on
 
 
 def waits(machine: Machine, search: SearchSettings) -> np.ndarray:
-    """Samples to wait for that are tried: to half a period of the first resonance, by which its phase turns around.
+    """Samples to wait for that are tried: to half a period of the first resonance, by which its phase turns around, or `LONGEST`.
 
     What they make of the loop's delay is the same for all delays that differ by whole samples, so that a machine that is
     earlier by these gets as far.
     """
-    most = max(2.0, np.floor(0.5 / (machine.resonances_hz[0] * search.sample_time)))
+    most = min(max(2.0, np.floor(0.5 / (machine.resonances_hz[0] * search.sample_time))), LONGEST)
     whole = np.geomspace(1, most, MOST_WAITS).round() if most > MOST_WAITS else np.arange(1, most + 1)
     later = np.concatenate([FINE, whole]) - np.floor(search.delay + 1e-9)
     return np.unique(np.concatenate([[0.0, 1.0], later[later > 0]]))
