@@ -412,5 +412,5 @@ def _damped(model: ModalModel) -> ModalModel:
 
 
 def _beside(model: ModalModel) -> ModalModel:
-    shapes = np.abs(model.output_shapes) * np.sign(model.input_shapes.T)
-    return replace(model, output_shapes=shapes, feedthrough=np.abs(model.feedthrough))
+    whole = np.abs(model.output_shapes[0, 0] / model.input_shapes[0, 0])  # it reads the whole body as before
+    return replace(model, output_shapes=whole * model.input_shapes.T, feedthrough=np.abs(model.feedthrough))
