@@ -4,8 +4,8 @@ A machine has 1 to 6 flexible modes of either sign, perhaps viscous friction, an
 not. It is given as matrices or as a noisy frequency response. From number 1000 on it is a chain of masses, free or on
 springs to the ground, whose dampers its mode shapes do not decouple, and always measured. The C that is written is compiled, its linear map read
 out of its states, and closed around the sampled plant with its exact zero-order hold and delay, everywhere in the box
-that was stated, of frequencies, gain and damping: `python benchmarks/machines.py [FIRST [LAST [RESULTS.jsonl]]]`. A file
-of results is gone on with.
+that was stated, of frequencies, gain and damping: `python benchmarks/machines.py [FIRST [LAST [RESULTS.jsonl [BEFORE.jsonl]]]]`, of
+sixty machines without any. A file of results is gone on with; with that of an earlier search the gain is stated.
 """
 
 import ctypes
@@ -27,8 +27,10 @@ from scipy import linalg  # noqa: E402
 
 from stillwork.base.checks import InputError  # noqa: E402
 from stillwork.machine.design import design_file  # noqa: E402
+from stillwork.machine.progress import count_steps  # noqa: E402
 
 LIMIT_DB = 6.01
+LOWER = 0.995  # of a bandwidth before: a machine gets less far
 COUPLED = 1000  # the first number of machines with coupled dampers
 DRAWS, SWEEPS = 60, 1  # random places in the box, and looks along each axis from the worst of them
 
@@ -375,11 +377,29 @@ def line_of(each: dict) -> str:
     )
 
 
-def main(first: str = "0", last: str = "50", results: str = "") -> None:
+def read_results(file: str) -> dict[int, dict]:
+    """The machines of a file of results by their numbers."""
+    lines = Path(file).read_text().splitlines() if file and Path(file).exists() else []
+    return {each["number"]: each for each in map(json.loads, lines)}
+
+
+def gain_line(found: dict[int, dict], before: dict[int, dict]) -> str:
+    """How much further the bandwidths go than before, on the machines of both; a refused one has none."""
+    both = sorted(found.keys() & before.keys())
+    pairs = [[each[n].get("bandwidth_hz", 0.0) for each in (found, before)] for n in both]
+    ratios = np.array([new / old for new, old in pairs if old] or [np.nan])
+    lower = [n for n, (new, old) in zip(both, pairs, strict=True) if new < LOWER * old]
+    return (
+        f"{len(both)} tried before: bandwidth {np.median(ratios):.3f} times as large (median), {ratios.min():.3f} to "
+        f"{ratios.max():.3f} times, below {LOWER} times on {lower}; {sum(new > old == 0 for new, old in pairs)} were refused before"
+    )
+
+
+def main(first: str = "0", last: str = "60", results: str = "", before: str = "") -> None:
     """Try machines, all but those that the file `results` holds already, and print what was promised and what is true."""
     kept = Path(results) if results else None
-    lines = kept.read_text().splitlines() if kept and kept.exists() else []
-    known = {each["number"]: each for each in map(json.loads, lines)}
+    known = read_results(results)
+    step = count_steps(int(last) - int(first), "machines")
     for number in range(int(first), int(last)):
         if number not in known:
             known[number] = try_machine(number)
@@ -387,6 +407,7 @@ def main(first: str = "0", last: str = "50", results: str = "") -> None:
                 with kept.open("a") as file:
                     file.write(json.dumps(known[number]) + "\n")
         print(line_of(known[number]), flush=True)
+        step()
     tried = list(known.values())
     judged = [each for each in tried if "refused" not in each]
     refused = Counter(
@@ -401,9 +422,11 @@ def main(first: str = "0", last: str = "50", results: str = "") -> None:
         f"{len(tried)} machines, {len(tried) - len(judged)} refused, {len(above)} above {LIMIT_DB} dB {above}, "
         f"{len(unstable)} unstable {unstable}; {np.mean(spent):.1f} s of CPU each, at most {max(spent):.0f} s"
     )
+    if before:
+        print(gain_line(known, read_results(before)))
     for reason, count in refused.most_common():
         print(f"  {count} refused: {reason}")
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:4])
+    main(*sys.argv[1:5])
