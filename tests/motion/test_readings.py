@@ -44,7 +44,7 @@ def write(path, lines, response, written, stated):
 
 
 def explained(path):
-    return build_explained(path, load_machine(path), fit_hz=(0.0, 0.0), mirrored_sensor=False, options={})
+    return build_explained(path, load_machine(path), fit_hz=(0.0, 0.0), options={})
 
 
 @pytest.mark.slow

@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
@@ -148,40 +148,64 @@ def load_machine(
         read = [each for each in (response, named) if each in arrays] or [
             name for name in arrays if name in _called(arrays, heading(name).quantity, response)
         ]
-        _require_known(name for name in read if arrays[name].size > 1 or heading(name).quantity)
-        stated = stated_units(response_names({name: arrays[name] for name in read}))
-        response_unit = _agreed("response_unit", response_unit, stated[0])
-        force_unit = _agreed("force_unit", force_unit, stated[1])
-        silent = [name for name, unit in (("response", response_unit), ("force", force_unit)) if not unit]
-        response_unit = response_unit or "m/s^2"
-        position, derivatives, drive = _machine_units(response_unit, force_unit)
-        force_unit = force_unit or drive
-        factor, force = unit_factor(response_unit)[0], unit_factor(force_unit)[0]
+        agreed = agreed_units({name: arrays[name] for name in read}, response_unit, force_unit)
         if kind == "hammer records":
             found, notes, taken, cut_off = _from_hammer(arrays, sample_rate, file.name)
         else:
             found, notes, taken = _from_response(arrays, response, read_as or {})
-            _require_motion(taken)
+            require_motion(taken)
             cut_off = False
     except InputError as error:
         raise InputError(f"{file.name}: {error}") from None
-    if silent:
-        notes += (
-            f"the unit of {' and '.join(silent)} is not stated; assumed: {response_unit} over {force_unit}",
-        )
-    scaled = factor / force * found.response * (1j * found.omega) ** derivatives
+    scaled = agreed.accelerance(found.omega, found.response)
     readings = tuple(
-        _in_units(each, response_unit, force_unit, written=silent == [], hammer=kind == "hammer records")
+        _in_units(
+            each, agreed.response, agreed.force, written=agreed.note == (), hammer=kind == "hammer records"
+        )
         for each in taken
     )
     return MachineFile(
         kind,
         file.name,
         found._replace(response=scaled),
-        notes=notes,
-        units=(position, drive),
+        notes=notes + agreed.note,
+        units=agreed.units,
         readings=readings,
         cut_off=cut_off,
+    )
+
+
+class AgreedUnits(NamedTuple):
+    """Units of a response and of what drives it, as given and stated, and what makes an accelerance of it."""
+
+    response: str
+    force: str
+    factor: float  # of the response, to SI
+    derivatives: int  # that it lacks
+    units: tuple[str, str]  # of the position and of what drives it
+    note: tuple[str, ...]  # on what was assumed
+
+    def accelerance(self, omega: np.ndarray, response: np.ndarray) -> np.ndarray:
+        """The response as acceleration over force, its frequencies (rad/s) along the first axis."""
+        lines = omega.reshape(-1, *[1] * (response.ndim - 1))
+        return self.factor * response * (1j * lines) ** self.derivatives
+
+
+@checked
+def agreed_units(arrays: Mapping[str, np.ndarray], response_unit: str, force_unit: str) -> AgreedUnits:
+    """Units of the response and the force in these arrays: those given, else stated in their names, else m/s^2 and N."""
+    _require_known(name for name, each in arrays.items() if each.size > 1 or heading(name).quantity)
+    stated = stated_units(response_names(arrays))
+    response_unit = _agreed("response_unit", response_unit, stated[0])
+    force_unit = _agreed("force_unit", force_unit, stated[1])
+    silent = [name for name, unit in (("response", response_unit), ("force", force_unit)) if not unit]
+    response_unit = response_unit or "m/s^2"
+    position, derivatives, drive = _machine_units(response_unit, force_unit)
+    force_unit = force_unit or drive
+    factor = unit_factor(response_unit)[0] / unit_factor(force_unit)[0]
+    note = f"the unit of {' and '.join(silent)} is not stated; assumed: {response_unit} over {force_unit}"
+    return AgreedUnits(
+        response_unit, force_unit, factor, derivatives, (position, drive), (note,) if silent else ()
     )
 
 
@@ -304,7 +328,7 @@ def _require_known(names: Iterable[str]) -> None:
             )
 
 
-def _require_motion(taken: Iterable[Reading]) -> None:
+def require_motion(taken: Iterable[Reading]) -> None:
     """Refuse a response whose unit is written, and none of a motion over what drives it."""
     for each in taken:
         unit = heading(each.column).meaning
@@ -335,7 +359,7 @@ def _from_response(
         name: np.ravel(array) for name, array in arrays.items() if array.size == hertz.size and name != axis
     }
     same |= complex_responses(arrays)
-    values, readings = _response(arrays, same, response, read_as or {})
+    values, readings = one_response(arrays, same, response, read_as or {})
     notes = tuple(f"taken: {each.column}" for each in readings if each.quantity == "complex")
     values = require_array("response", values, dtype=complex)
     seen = np.full(hertz.size, np.nan)
@@ -357,7 +381,7 @@ def _from_response(
     return found, notes, [reading, *readings]
 
 
-def _response(
+def one_response(
     arrays: dict[str, np.ndarray], same: dict[str, np.ndarray], response: str, read_as: Mapping[str, str]
 ) -> tuple[np.ndarray, list[Reading]]:
     """The complex response of columns of one length, in the unit that these state, and what they were taken for."""

@@ -35,9 +35,9 @@ from stillwork.control.pid import Pid, PidFamily
 from stillwork.lti.modal import ModalModel
 from stillwork.machine import pictures
 from stillwork.machine.budget_isolator import WrittenIsolator, read_isolator_design
+from stillwork.machine.designed_loop import model_of
 from stillwork.machine.html_page import page, picture, table
 from stillwork.machine.machine_toml import open_machine_toml
-from stillwork.machine.retest import model_of
 from stillwork.signals.datafiles import read_columns
 from stillwork.signals.densities import agreed_density, density_unit, frequency_axis, hertz_in, read_densities
 from stillwork.signals.records import Record, is_time, load_record, to_acceleration

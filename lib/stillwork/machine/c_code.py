@@ -1,6 +1,7 @@
 """C99 of a controller or an adaptation, from templates, with the numbers computed here."""
 
 import re
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from string import Template
@@ -398,6 +399,43 @@ def isolation_code(
     return write.files("isolation", name, values, marks) | adaptation_code(
         settings, axes, regressors, f"{name}_adapt", precision
     )
+
+
+@checked
+def axes_code(
+    sensing: Float64[np.ndarray, "axes outputs"],
+    actuation: Float64[np.ndarray, "inputs axes"],
+    folders: Sequence[str],
+    name: str,
+    precision: str = "double",
+) -> dict[str, str]:
+    """C99 of a decoupling around the controllers ``name_1``, ``name_2``, ... that the folders hold."""
+    write = Numbers(name, precision)
+    (axes, sensors), actuators = sensing.shape, len(actuation)
+    numbers = range(1, axes + 1)
+
+    def product(out: str, matrix: np.ndarray, given: str) -> str:
+        signals = [f"{given}[{k}]" for k in range(matrix.shape[1])]
+        return _lines(f"{out}[{k}] = {write.terms(row, signals)};" for k, row in enumerate(matrix))
+
+    values = {
+        "title": f"{name}: {axes} axes from {pluralise(sensors, 'sensor')} to {pluralise(actuators, 'actuator')}, {precision} precision.",
+        "includes": "".join(
+            f'#include "{folder}/{name}_{k}.h"\n' for k, folder in zip(numbers, folders, strict=True)
+        ),
+        "sensors": sensors,
+        "axes": axes,
+        "actuators": actuators,
+        "fields": _lines(f"{name}_{k}_state axis_{k};" for k in numbers),
+        "zero": write(0),
+        "sense": product("q", sensing, "y"),
+        "actuate": product("u", actuation, "f"),
+        "steps": _lines(
+            f"flags |= {name}_{k}_step(&s->axis_{k}, &{name}_{k}_designed, &q[{k - 1}], known, &f[{k - 1}]);"
+            for k in numbers
+        ),
+    }
+    return write.files("axes", name, values)
 
 
 @checked

@@ -17,11 +17,12 @@ from stillwork.control.bandwidth import Loop
 from stillwork.control.digital import DigitalController, error_driven, in_units, runnable, tied_to_error
 from stillwork.control.feedforward import motion_of
 from stillwork.control.loop_noise import SHARE
-from stillwork.control.machine_loops import SHOWN, in_hertz
+from stillwork.control.machine_loops import SHOWN, in_hertz, search_range
 from stillwork.control.setpoint import MoveLimits
 from stillwork.control.uncertainty import NAMES
 from stillwork.identification.machine import TURNED, Machine
 from stillwork.identification.machine_files import MachineFile, load_machine
+from stillwork.machine.axes import design_axes, read_axes
 from stillwork.machine.c_code import controller_code, require_names
 from stillwork.machine.design_page import box_table, report
 from stillwork.machine.export import require_free, write_folder
@@ -70,8 +71,6 @@ class DesignRequest:
         Frequency band of the fit, Hz; (0, 0): the whole measurement.
     loop_hz : tuple of float
         Band in which the measurement is reliable and represents the plant, Hz; (0, 0): the band of the fit.
-    mirrored_sensor : bool
-        Whether to design for a second sensor, too, at which every flexible mode has the opposite sign.
     uncertainty : str or mapping of str to float
         How far the machine may deviate from the model, e.g. ``frequency=0.05,gain=0.1``: relative, for the
         ``frequency``, ``residue`` and ``damping`` of each mode and for ``gain`` and ``mass``; ``delay`` in s, and
@@ -90,6 +89,8 @@ class DesignRequest:
         Share of `limit` that the noise may take at the output, root mean square.
     noise_ratio : float
         See `NoiseBound`; 0: `RATIO` if the noise or the limit is unknown.
+    highest_hz : float
+        Highest design bandwidth that is sought, Hz; 0: see `search_range`.
     what_helps : bool
         Whether to search for the machine with more damping, another place of its sensor, a faster or prompter
         processor, too: four more searches.
@@ -103,13 +104,13 @@ class DesignRequest:
     precision: str = "double"
     fit_hz: tuple[float, float] = (0.0, 0.0)
     loop_hz: tuple[float, float] = (0.0, 0.0)
-    mirrored_sensor: bool = False
     uncertainty: str | Mapping[str, float] = ""
     counts: float = 0.0
     motor_constant: float = 0.0
     noise: float = 0.0
     noise_share: float = SHARE
     noise_ratio: float = 0.0
+    highest_hz: float = 0.0
     what_helps: bool = False
 
     def __post_init__(self):
@@ -125,7 +126,7 @@ class DesignRequest:
                 f"uncertainty: delay is {late:g} s, {late * self.rate:.3g} samples at {self.rate:g} Hz, too much for any "
                 f"loop; give seconds, at most {MOST_LATE} samples ({MOST_LATE / self.rate:.3g} s)"
             )
-        for name in ("counts", "motor_constant"):
+        for name in ("counts", "motor_constant", "highest_hz"):
             require_number(name, getattr(self, name), at_least=0.0)
 
     @property
@@ -159,7 +160,8 @@ def design_file(
     Parameters
     ----------
     files : str or sequence of str
-        See `load_machine`. Several files hold the same machine at other positions or with other loads: the observer is
+        See `load_machine`. A matrix response, or a TOML with its ``response`` and a table [decoupling], is decoupled into
+        axes, see `design_axes`. Several files hold the same machine at other positions or with other loads: the observer is
         made for the first; the constraints hold for all of them, and in the box around each.
     folder : str
         New or empty folder.
@@ -186,8 +188,17 @@ def design_file(
     require_free(folder)
     own = {each.name for each in fields(DesignRequest)} & asked.keys()
     request = DesignRequest(rate, **{name: asked[name] for name in own})
-    given = _read(request, files, {name: value for name, value in asked.items() if name not in own})
+    options = {name: value for name, value in asked.items() if name not in own}
+    single = [files] if isinstance(files, str) else files
+    if len(single) == 1 and (wanted := read_axes(single[0], options)):
+
+        def make(*where: str, **changed) -> list[str]:
+            return design_file(*where, rate, verbose=True, **{name: asked[name] for name in own} | changed)
+
+        return design_axes(wanted, folder, request, make, verbose)
+    given = _read(request, files, options)
     step = count_steps(EACH * USES * (1 + CHANGES * request.what_helps), "design")
+    lowest = search_range(given.machines[0], 1 / rate)[0]
     made = search_designs(
         given.machines[0],
         given.machines[1:],
@@ -195,6 +206,7 @@ def design_file(
         delay=request.delay,
         uncertainty=request.shares,
         loop_hz=request.loop_hz,
+        search_hz=(min(lowest, request.highest_hz / 2), request.highest_hz),
         noise=given.noise.bound(*request.scales),
         on_step=step,
     )
@@ -276,7 +288,7 @@ def _read(request: DesignRequest, files: str | Sequence[str], load_options: dict
         )
     units = "count" if request.counts else position, "A" if request.motor_constant else drive
     noise = sensor_noise(units[0], request.limit, request.noise, request.noise_share, request.noise_ratio)
-    how = {"fit_hz": request.fit_hz, "mirrored_sensor": request.mirrored_sensor, "options": load_options}
+    how = {"fit_hz": request.fit_hz, "options": load_options}
     machines = [build_explained(path, each, **how) for path, each in zip(sources, every, strict=True)]
     for sensor in machines[0].sensors:
         motion_of(sensor, 0.0, *request.scales, request.moves).require_within(request.limit)

@@ -1,6 +1,7 @@
 """The command ``inspect``: what a file holds, and which notebooks can use it."""
 
 import ast
+import contextlib
 import json
 import os
 import shlex
@@ -206,12 +207,22 @@ def _machine(path: Path, arrays: dict[str, np.ndarray]) -> Iterator[str]:
         response_names,
         stated_units,
     )
+    from stillwork.identification.matrix_files import load_matrix
 
     try:
         kind = kind_of(arrays)
     except InputError:
         return
     settings: dict[str, Any] = {"machine_file": path.resolve()}
+    with contextlib.suppress(InputError):
+        if matrix := load_matrix(path):
+            outputs, inputs = len(matrix.outputs), len(matrix.inputs)
+            yield f"responses of a machine of {outputs} outputs and {inputs} inputs: {pluralise(len(matrix.hertz), 'line')}"
+            if outputs == inputs:
+                words = ["design", str(path.resolve()), "--rate", "HZ", "--out", "my_controllers"]
+                yield command("controllers in C of its decoupled axes", words)
+            if not list(complex_responses(arrays)):
+                return
     try:
         several = list(complex_responses(arrays)) if kind == "frequency response" else []
         chosen = several[0] if len(several) > 1 else ""

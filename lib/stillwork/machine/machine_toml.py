@@ -11,6 +11,7 @@ from stillwork.base.toml_files import Table, read_toml
 # All that may stand at the top of a file; each command holds the names within its own tables against its own list.
 BUDGET = ("name", "band_hz", "exposure_s", "duration_s", "machine", "controller", "sources")
 ISOLATE = ("response", "notches_hz", "isolator", "estimate", "noise", "floor")
+DESIGN = ("decoupling",)
 TEMPLATE = Path(__file__).with_name("machine.toml")
 MACHINES: dict[str, dict[str, Any]] = {
     "wafer-stage": {
@@ -37,7 +38,7 @@ ISOLATOR = MACHINES["wafer-stage"] | {
 def open_machine_toml(file: str | Path) -> Table:
     """Read a machine's TOML; a table that no command knows is refused, since a misspelt one would count as not given."""
     entries = read_toml(file)
-    entries.require_known((*BUDGET, *ISOLATE))
+    entries.require_known((*BUDGET, *ISOLATE, *DESIGN))
     return entries
 
 

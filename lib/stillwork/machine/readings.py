@@ -110,12 +110,11 @@ def build_explained(
     file: MachineFile,
     *,
     fit_hz: tuple[float, float],
-    mirrored_sensor: bool,
     options: Mapping,
 ) -> Machine:
     """`build_machine`, with what it believes printed, and refused as by `require_explained`."""
     try:
-        machine = build_machine(file, modes_hz=[], fit_hz=fit_hz, mirrored_sensor=mirrored_sensor)
+        machine = build_machine(file, modes_hz=[], fit_hz=fit_hz, mirrored_sensor=False)
     except InputError:
         require_explained(path, file, None, fit_hz, options)
         raise

@@ -9,20 +9,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from stillwork.base.checks import InputError, pluralise, require_array
+from stillwork.base.checks import InputError, pluralise
 from stillwork.base.extras import require_package
 from stillwork.base.toml_files import Table
 from stillwork.control.bandwidth import SIX_DB, Loop, make_loop
-from stillwork.control.digital import DigitalController, in_units, load_controller, of_reference
+from stillwork.control.digital import DigitalController
 from stillwork.control.machine_loops import HELD, SHOWN, encirclement_difference, on_measurement
-from stillwork.control.pid import Notch, Pid
+from stillwork.control.pid import Pid
 from stillwork.control.uncertainty import NORMAL
 from stillwork.identification.frequency_response import Identified
 from stillwork.identification.machine import Machine, build_machine, remove_delay, whole_band
 from stillwork.identification.machine_files import load_machine, load_ratio
 from stillwork.lti.modal import ModalModel
-from stillwork.lti.state_space import StateModel
 from stillwork.machine import pictures
+from stillwork.machine.designed_loop import DesignedLoop, load_design
 from stillwork.machine.hardware import ALLOWED_DB, own_functions
 from stillwork.machine.html_page import page, picture, require_new, table
 from stillwork.machine.inspect import inspect_file
@@ -81,7 +81,7 @@ def retest_file(
     """
     require_package("matplotlib")
     target = require_new(out or f"{Path(file).name}.retest.html")
-    designed = _load_design(controller)
+    designed = load_design(controller)
     if closed_loop:
         found = _measured_in_the_loop(designed, file, loop_hz, load_options)
     else:
@@ -105,15 +105,6 @@ def retest_file(
     return [*answer, f"written: {target}", *(findings if verbose else [])]
 
 
-class _Designed(NamedTuple):
-    """What the file of a controller holds of its design."""
-
-    controller: DigitalController  # of r and y, in the units in which the machine was measured
-    made: Table  # its provenance
-    loop: Loop  # on the model
-    pid: Pid
-
-
 class _Found(NamedTuple):
     """The loop of a written controller around a new response."""
 
@@ -123,30 +114,13 @@ class _Found(NamedTuple):
     changes: list[list[str]]  # of the machine
 
 
-def _load_design(file: str) -> _Designed:
-    written = load_controller(file)
-    about = Table(dict(written.about), Path(file).name)
-    made, observer = about.table("provenance"), about.table("compensator")
-    sample_time = written.model.sample_time
-    a, b, c, d = (require_array(f"compensator: {name}", observer[name]) for name in "abcd")
-    loop = make_loop(
-        model_of(about.table("model")),
-        _observer(a, b, c, d, sample_time),
-        sample_time=sample_time,
-        delay=made["delay_samples_of_the_loop"],
-    )
-    gains = about["gains"]
-    pid = Pid(**gains | {"notches": tuple(Notch(**gain) for gain in gains["notches"])})
-    return _Designed(_in_the_units_of_the_file(of_reference(written), made), made, loop, pid)
-
-
-def _measured_in_the_loop(designed: _Designed, file: str, loop_hz, load_options: Mapping) -> _Found:
+def _measured_in_the_loop(designed: DesignedLoop, file: str, loop_hz, load_options: Mapping) -> _Found:
     seen = _from_sensitivity(designed.loop, designed.controller, file, loop_hz, load_options)
     changes = _gain_change(designed.loop, seen, designed.pid, designed.made, Path(file).name)
     return _Found({"measured": seen}, True, None, changes)  # it ran
 
 
-def _measured_machine(designed: _Designed, file: str, fit_hz, loop_hz, load_options: Mapping) -> _Found:
+def _measured_machine(designed: DesignedLoop, file: str, fit_hz, loop_hz, load_options: Mapping) -> _Found:
     made, sample_time = designed.made, designed.loop.sample_time
     taken = load_machine(file, **load_options)
     machine = build_machine(taken, modes_hz=[], fit_hz=fit_hz, mirrored_sensor=False)
@@ -183,7 +157,7 @@ def _verdict(found: _Found, peaks: dict[str, dict[str, "Peak"]]) -> str:
     return "not decided: at this noise the promise may hold or not; average longer near the peaks, or measure more lines"
 
 
-def _page(designed: _Designed, found: _Found, file: str, lines: list[str]) -> str:
+def _page(designed: DesignedLoop, found: _Found, file: str, lines: list[str]) -> str:
     head = ["", "at the design", "now", "change", ""]
     body = [f"<p>{html.escape(line)}</p>" for line in lines]
     body += [f"<h2>What has changed</h2>\n{table(head, found.changes)}"] if found.changes else []
@@ -194,36 +168,6 @@ def _page(designed: _Designed, found: _Found, file: str, lines: list[str]) -> st
         source=html.escape(Path(file).name),
         body="\n".join(body),
         held=html.escape(inspect_file(file)),
-    )
-
-
-def _in_the_units_of_the_file(controller: DigitalController, made: Table) -> DigitalController:
-    """The controller in the units in which the machine was measured, not those of its drive."""
-    counts, constant = made.get("encoder_counts"), made.get("motor_constant")
-    return in_units(controller, 1 / (counts or 1.0), constant or 1.0, ("position", "force"))
-
-
-def _observer(a, b, c, d, sample_time: float) -> StateModel:
-    n = len(d)
-    if not a.size:  # without states the lists are empty
-        a, b, c = np.zeros((0, 0)), np.zeros((0, n)), np.zeros((n, 0))
-    return StateModel(a, b, c, d, sample_time)
-
-
-def model_of(entries: Table) -> ModalModel:
-    """The model that the design was made for, as its file holds it."""
-    frequencies, damping, residues = (
-        require_array(f"model: {name}", entries[name], ndim=1)
-        for name in ("frequencies_rad_s", "damping", "residues")
-    )
-    shapes = np.sqrt(np.abs(residues))
-    return ModalModel(
-        frequencies,
-        damping,
-        shapes[:, None],
-        (shapes * np.sign(residues))[None],
-        np.array([[entries["compliance"]]]),
-        drag=entries["drag_1_s"],
     )
 
 

@@ -1,0 +1,128 @@
+"""A measured response of several inputs and outputs from a file: a matrix over frequency."""
+
+import re
+from collections.abc import Collection
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Complex128, Float64
+
+from stillwork.base.checks import InputError, require_array
+from stillwork.base.validation import checked
+from stillwork.identification.machine_files import (
+    agreed_units,
+    complex_responses,
+    one_response,
+    require_motion,
+)
+from stillwork.signals.datafiles import read_arrays
+from stillwork.signals.densities import frequency_axis
+from stillwork.signals.headings import column_unit, heading, in_hertz
+
+LEAST_LINES = 32
+PARTS = ("real", "imaginary", "magnitude", "phase", "coherence")
+
+
+class MatrixFile(NamedTuple):
+    """Acceleration of every output over every input."""
+
+    source: str  # file name
+    hertz: Float64[np.ndarray, " lines"]
+    accelerance: Complex128[np.ndarray, "lines outputs inputs"]
+    coherence: Float64[np.ndarray, "lines outputs inputs"]  # NaN where the file has none
+    outputs: tuple[str, ...]
+    inputs: tuple[str, ...]
+    units: tuple[str, str]  # of the positions and of what drives them
+    notes: tuple[str, ...]
+
+
+@checked
+def places(names: Collection[str]) -> dict[str, tuple[str, str]]:
+    """Output and input of each name that states both.
+
+    ``h[2,1]``, ``H_{y[1], u[0]}``, ``real h21``, ``phase y2/u1 (deg)``, ``frf 2+Z/1+Z``.
+    """
+    found = {}
+    for name in names:
+        text, more = re.sub(r"\s#\d+\b", "", name), 1
+        while more:
+            text, more = re.subn(r"\([^()]*\)", " ", text)  # units
+        ends = re.search(r"(\S*\d\S*?)\s*/\s*(\S*\d\S*)", text)
+        words = [each.strip("[]{}_,") for each in ends.groups()] if ends else re.findall(r"\d+", text)
+        if len(words) == 1 and len(words[0]) == 2:
+            words = list(words[0])
+        if len(words) == 2:
+            found[name] = (words[0], words[1])
+    return found
+
+
+@checked(missing=True)
+def load_matrix(file: str | Path, response_unit: str = "", force_unit: str = "") -> MatrixFile | None:
+    """The matrix response in a file, each entry read as `load_machine` reads one; None where there are no two of them.
+
+    Raises
+    ------
+    InputError
+        When its responses are no whole matrix, or its lines cannot be used.
+    """
+    file = Path(file)
+    arrays = read_arrays(file)
+    axis = frequency_axis(arrays)
+    if not axis:
+        return None
+    unit, _ = column_unit(axis, "frequency")
+    hertz = in_hertz(unit) * require_array(axis, np.ravel(arrays[axis]), ndim=1)
+    columns = {
+        name: np.ravel(each) for name, each in arrays.items() if each.size == hertz.size and name != axis
+    }
+    entries: dict[tuple[str, str], dict[str, np.ndarray]] = {}
+    columns |= complex_responses(arrays)
+    for name, place in places(columns).items():
+        if columns[name].dtype.kind == "c" or heading(name).quantity in PARTS:
+            entries.setdefault(place, {})[name] = columns[name]
+    if len(entries) < 2:
+        return None
+    outputs, inputs = (
+        tuple(sorted(dict.fromkeys(ends), key=_natural)) for ends in zip(*entries, strict=True)
+    )
+    try:
+        if len(entries) != len(outputs) * len(inputs):
+            raise InputError(
+                f"it holds {len(entries)} responses of outputs {', '.join(outputs)} to inputs {', '.join(inputs)}, "
+                f"{len(outputs) * len(inputs) - len(entries)} of the matrix are missing; give all, or choose one with response"
+            )
+        held = {
+            name if name in arrays else name.rpartition("[")[0] for each in entries.values() for name in each
+        }
+        agreed = agreed_units(
+            {name: arrays[name] for name in arrays if name in held}, response_unit, force_unit
+        )
+        shape = (hertz.size, len(outputs), len(inputs))
+        seen, coherent = np.empty(shape, complex), np.full(shape, np.nan)
+        for (output, into), columns in entries.items():
+            place = outputs.index(output), inputs.index(into)
+            parts = {name: each for name, each in columns.items() if heading(name).quantity != "coherence"}
+            values, taken = one_response(parts, parts, "", {})
+            require_motion(taken)
+            seen[:, *place] = require_array(f"response {output}/{into}", values, dtype=complex)
+            for name in columns.keys() - parts.keys():
+                coherent[:, *place] = column_unit(name, "coherence")[0].factor * columns[name].real
+        if np.any(np.diff(hertz) <= 0):
+            raise InputError("the frequency does not rise from line to line; sort the rows")
+        kept = (hertz > 0) & np.any(np.abs(seen) > 0, axis=(1, 2))
+        if kept.sum() < LEAST_LINES:
+            raise InputError(
+                f"{int(kept.sum())} usable lines are too few for a fit; give at least {LEAST_LINES}"
+            )
+    except InputError as error:
+        raise InputError(f"{file.name}: {error}") from None
+    hertz = hertz[kept]
+    accelerance = agreed.accelerance(2 * np.pi * hertz, seen[kept])
+    return MatrixFile(
+        file.name, hertz, accelerance, coherent[kept], outputs, inputs, agreed.units, agreed.note
+    )
+
+
+def _natural(label: str) -> tuple[tuple[int, ...], str]:
+    return tuple(map(int, re.findall(r"\d+", label))), label

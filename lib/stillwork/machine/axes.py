@@ -1,0 +1,386 @@
+"""The command ``design`` of several axes: a measured matrix, decoupled, a controller an axis, and all of them checked on it."""
+
+import hashlib
+import html
+import json
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from stillwork.base.checks import InputError, one_line, pluralise, require_array
+from stillwork.base.toml_files import Table
+from stillwork.control.machine_loops import in_hertz
+from stillwork.identification.machine import build_machine
+from stillwork.identification.machine_files import load_machine
+from stillwork.identification.matrix_files import MatrixFile, load_matrix
+from stillwork.machine.axes_loops import AxesLoops, paint_axes, paint_decoupling, sizes
+from stillwork.machine.c_code import axes_code
+from stillwork.machine.decoupled import (
+    Axes,
+    Judged,
+    LowEnd,
+    decouplings,
+    interaction,
+    judge,
+)
+from stillwork.machine.designed_loop import DesignedLoop, load_design
+from stillwork.machine.export import require_free
+from stillwork.machine.html_page import page, picture, table
+from stillwork.machine.inspect import inspect_file
+from stillwork.machine.machine_toml import open_machine_toml
+
+FORMAT = "stillwork axes 1"
+SLOWER, LEAST, ROUNDS = (
+    0.97,
+    0.05,
+    8,
+)  # of a bandwidth that would just do; the least share tried; designs of one axis
+HALVINGS = 7
+HIGHEST = 0.499  # of the rate
+
+
+class Wanted(NamedTuple):
+    """A matrix, and the decoupling that is given for it, where one is."""
+
+    matrix: MatrixFile
+    file: Path
+    sensing: np.ndarray | None
+    actuation: np.ndarray | None
+    names: tuple[str, ...]
+    units: tuple[tuple[str, str], ...]
+
+
+def read_axes(file: str, load_options: Mapping) -> Wanted | None:
+    """The matrix response of a file, or of a machine's TOML with ``response`` and [decoupling]; None where it is none."""
+    path, table = Path(file), Table({}, file)
+    if path.suffix.lower() == ".toml":
+        machine = open_machine_toml(path)
+        table, path = machine.table("decoupling"), path.parent / str(machine["response"])
+        table.require_known(("sensing", "actuation", "axes", "units"))
+    if load_options.get("response"):
+        return None
+    matrix = load_matrix(path, load_options.get("response_unit", ""), load_options.get("force_unit", ""))
+    if matrix is None:
+        if table:
+            raise InputError(f"{path.name} holds no matrix response; name its entries h11, h12, ...")
+        return None
+    ends = {"sensing": (None, len(matrix.outputs)), "actuation": (len(matrix.inputs), None)}
+    given = {
+        name: require_array(name, table[name], shape=shape) if name in table else None
+        for name, shape in ends.items()
+    }
+    sensing, actuation = given.values()
+    count = (
+        len(sensing)
+        if sensing is not None
+        else len(matrix.outputs)
+        if actuation is None
+        else actuation.shape[1]
+    )
+    if actuation is not None and actuation.shape[1] != count:
+        raise InputError(f"sensing is for {count} axes, actuation for {actuation.shape[1]}; give the same")
+    if (sensing is None and len(matrix.outputs) != count) or (
+        actuation is None and len(matrix.inputs) != count
+    ):
+        raise InputError(
+            f"{matrix.source} holds {len(matrix.outputs)} outputs and {len(matrix.inputs)} inputs; choose as many of each, or "
+            "give both sensing and actuation of a table [decoupling], or one response with --response"
+        )
+    names = tuple(map(str, table.get("axes", [f"axis {k + 1}" for k in range(count)])))
+    units = tuple((str(y), str(u)) for y, u in table.get("units", [matrix.units] * count))
+    if not len(names) == len(units) == count:
+        raise InputError(f"axes and units name {len(names)} and {len(units)} of {count} axes; name each")
+    return Wanted(matrix, path, sensing, actuation, names, units)
+
+
+def _candidates(wanted: Wanted) -> tuple[LowEnd | None, list[Axes]]:
+    """Decouplings, the best first; what is given is taken as it is, and what is not made for it."""
+    matrix, sensing, actuation = wanted.matrix, wanted.sensing, wanted.actuation
+    try:
+        if sensing is None and actuation is None:
+            return decouplings(matrix.hertz, matrix.accelerance)
+        if sensing is not None and actuation is not None:
+            return None, [Axes(sensing, actuation, "as given")]
+        left = matrix.accelerance if sensing is None else sensing @ matrix.accelerance
+        seen = left if actuation is None else left @ actuation
+        low, found = decouplings(matrix.hertz, seen)
+        words = "those of the actuators" if sensing is None else "those of the sensors"
+        (one,) = [each for each in found if each.words == words]
+    except InputError as error:
+        raise InputError(f"{matrix.source}: {error}") from None
+    if sensing is None:
+        return low, [Axes(one.sensing, actuation @ one.actuation, "actuation as given")]
+    return low, [Axes(one.sensing @ sensing, one.actuation, "sensing as given")]
+
+
+def design_axes(
+    wanted: Wanted, folder: str, request: Any, make: Callable[..., list[str]], verbose: bool
+) -> list[str]:
+    """As `design_file`, of a matrix response: a folder with one of its own for each axis.
+
+    `request` is the `DesignRequest` of all axes, `make` designs one: of a file, into a folder, with changes of the request.
+    """
+    low, found = _candidates(wanted)
+    whole = Path(folder).resolve()
+    whole.parent.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory(dir=whole.parent, prefix=f".{whole.name}-") as beside:
+        new = Path(beside) / whole.name
+        new.mkdir()
+        axes = _first_fitted(wanted, found, new, request.fit_hz)
+        task = _Task(wanted, axes, new, request, make)
+        lines = [task.design(k) for k in range(len(wanted.names))]
+        history = task.slow_down(lines)
+        answer = _write(task, low, history, Path(folder))
+        require_free(folder)
+        if whole.exists():
+            whole.rmdir()
+        new.rename(whole)
+    said = [line.replace(str(new), str(folder)) for each in lines for line in each]
+    return [*answer, *said] if verbose else answer
+
+
+def _first_fitted(wanted: Wanted, found: list[Axes], new: Path, fit_hz: tuple[float, float]) -> Axes:
+    """The first decoupling each of whose axes is a machine, with its axes' responses in files."""
+    first = None
+    for axes in found:
+        inner = axes.of(wanted.matrix.accelerance)
+        unsure = _unsure(wanted.matrix, axes)
+        try:
+            for k, (position, drive) in enumerate(wanted.units):
+                unit = position if position.isalpha() else f"({position})"
+                own = inner[:, k, k]
+                turn = -1 if _below(wanted.matrix, own) < 0 else 1
+                axes.actuation[:, k] *= turn
+                name = f"h (({unit}/s^2)/({drive}))"
+                arrays = {"frequency (Hz)": wanted.matrix.hertz, name: turn * own}
+                if np.isfinite(unsure).any():
+                    arrays["coherence"] = unsure[:, k]
+                file = new / f"axis-{k + 1}.npz"
+                np.savez(file, **arrays)
+                build_machine(load_machine(file), modes_hz=[], fit_hz=fit_hz, mirrored_sensor=False)
+            return axes
+        except InputError as error:
+            first = first or error
+    raise InputError(f"{wanted.matrix.source}: {first}")
+
+
+def _below(matrix: MatrixFile, own: np.ndarray) -> float:
+    """Sign of what an axis does at the lowest lines, where the delay is short."""
+    return float(np.median(own[: max(8, len(own) // 50)].real))
+
+
+def _unsure(matrix: MatrixFile, axes: Axes) -> np.ndarray:
+    """Coherence of each axis from those of all responses, whose errors are independent: (lines, axes)."""
+    response, seen = matrix.accelerance, np.clip(matrix.coherence, 1e-9, 1.0)
+    variance = (1 - seen) / seen * np.abs(response) ** 2
+    inner = np.abs(np.einsum("fii->fi", axes.of(response))) ** 2
+    added = np.einsum("ai,fij,ja->fa", axes.sensing**2, variance, axes.actuation**2)
+    with np.errstate(invalid="ignore"):
+        return np.where(added > 0, inner / (inner + added), 1.0) + 0 * added
+
+
+class _Task:
+    """The axes of a matrix, with the design of each as it is now."""
+
+    def __init__(
+        self, wanted: Wanted, axes: Axes, folder: Path, request: Any, make: Callable[..., list[str]]
+    ):
+        self.wanted, self.axes, self.folder, self.request = wanted, axes, folder, request
+        self.make, self.highest = make, [request.highest_hz] * len(wanted.names)
+        self.loops: list[DesignedLoop] = []
+
+    @property
+    def closed(self) -> AxesLoops:
+        """All axes closed around the matrix."""
+        hertz, request = self.wanted.matrix.hertz, self.request
+        ends = (request.loop_hz, request.fit_hz, (hertz[0], hertz[-1]))
+        low, high = next(each for each in ends if any(each))
+        band = max(float(low), hertz[0]), min(float(high), hertz[-1], HIGHEST * request.rate)
+        return AxesLoops(
+            *(self.wanted.matrix, self.axes, self.wanted.names, self.loops, request.rate, request.delay),
+            *(band, request.shares),
+        )
+
+    def design(self, k: int) -> list[str]:
+        """Design an axis, no faster than it may be."""
+        request, axes, name = self.request, self.axes, f"{self.request.name}_{k + 1}"
+        folder = self.folder / f"axis-{k + 1}"
+        shutil.rmtree(folder, ignore_errors=True)
+        # All axes' limits together keep that of each actuator; the sensors' noises are independent.
+        share = len(self.wanted.names) * np.abs(axes.actuation[:, k]).max()
+        lines = self.make(
+            f"{folder}.npz",
+            str(folder),
+            name=name,
+            limit=request.limit / float(share),
+            noise=request.noise * float(np.linalg.norm(axes.sensing[k])),
+            highest_hz=self.highest[k],
+        )
+        self.loops[k : k + 1] = [load_design(str(folder / f"{name}.json"))]
+        return lines
+
+    def slow_down(self, lines: list[list[str]]) -> list[str]:
+        """Lower bandwidths until all that is checked holds: of one axis, or of all, whatever costs least."""
+        history: list[str] = []
+        hard = [(0.0, np.ones(len(self.loops)))]
+        for _ in range(ROUNDS):
+            judged = self.closed.judged()
+            if judged.holds:
+                return history
+            hard.append(self.closed.places()[judged.worst])
+            slower = self._least_slower(hard)
+            if slower is None:
+                break
+            for k in np.flatnonzero(slower < 1):
+                before = self.loops[k].made["design_hz"]
+                self.highest[k] = float(SLOWER * slower[k] * before)
+                lines[k] = self.design(int(k))
+                history.append(
+                    f"{self.wanted.names[k]} slowed from {in_hertz(before)} to {in_hertz(self.highest[k])} Hz (design parameter)"
+                )
+        raise InputError(f"{self.wanted.matrix.source}: {_why_not(self, judged)}")
+
+    def _least_slower(self, places: Sequence[tuple[float, np.ndarray]]) -> np.ndarray | None:
+        """Shares of the bandwidths at which these places would hold, by the PID's rules."""
+        count, best = len(self.loops), None
+        for which in [*np.eye(count, dtype=bool), np.ones(count, dtype=bool)]:
+            low, high = LEAST, 1.0
+            if not judge(self.closed.gains(places, np.where(which, low, 1.0))).holds:
+                continue
+            for _ in range(HALVINGS):
+                middle = np.sqrt(low * high)
+                holds = judge(self.closed.gains(places, np.where(which, middle, 1.0))).holds
+                low, high = (middle, high) if holds else (low, middle)
+            shares = np.where(which, low, 1.0)
+            best = shares if best is None or np.prod(shares) > np.prod(best) else best
+        return best
+
+
+def _why_not(task: _Task, judged: Judged) -> str:
+    return (
+        f"no bandwidths were found at which all axes hold together: {task.closed.stability(judged)}, largest "
+        f"|S_kk| {sizes(judged.box_db)} dB; the axes act on each other too much: measure finer, give sensing and "
+        "actuation of the machine's geometry, or state less uncertainty"
+    )
+
+
+def _write(task: _Task, low: LowEnd | None, history: list[str], out: Path) -> list[str]:
+    """The files of the whole, and the answer in lines."""
+    request, axes, wanted, judged = task.request, task.axes, task.wanted, task.closed.judged()
+    matrix, count = wanted.matrix, len(wanted.names)
+    folders = [f"axis-{k + 1}" for k in range(count)]
+    code = axes_code(axes.sensing, axes.actuation, folders, request.name, request.precision)
+    matrices = task.closed.sensitivities()
+    sigma = {name: float(np.linalg.norm(each, 2, axis=(1, 2)).max()) for name, each in matrices.items()}
+    shown = [
+        f"{name}: {each.made['use']} {in_hertz(each.loop.crossing_hz(each.pid))} Hz"
+        for name, each in zip(wanted.names, task.loops, strict=True)
+    ]
+    low_hz, high_hz = task.closed.lines()[[0, -1]] / (2 * np.pi)
+    places = len(task.closed.places())
+    answer = [
+        f"{matrix.source}: {pluralise(count, 'axis')}, {axes.words}; {', '.join(shown)}".replace(
+            "axiss", "axes"
+        ),
+        f"checked on the measured matrix from {low_hz:.4g} to {high_hz:.4g} Hz: {task.closed.stability(judged)}; largest |S_kk|, "
+        f"all axes closed, {sizes(judged.peaks_db)} dB, and {sizes(judged.box_db)} dB at {places} places of the box",
+        "not promised: what lies between the lines or beyond them, and modes that each move by themselves, for which an axis's own "
+        "page holds its diagonal alone",
+        *history,
+    ]
+    held = {
+        "stable": judged.stable,
+        "sensitivity_db": judged.peaks_db.tolist(),
+        "sensitivity_in_the_box_db": judged.box_db.tolist(),
+        "places_of_the_box": places,
+        "largest_singular_value": sigma,
+        "distance_of_characteristic_loci": judged.distance,
+        "interaction_bound": float(judged.bound.max()),
+        "band_hz": [float(low_hz), float(high_hz)],
+    }
+    about = {
+        "format": FORMAT,
+        "law": "f_k = controller of axis k applied to (T_y (r - y))_k; u = T_u f",
+        "rate_hz": request.rate,
+        "delay_samples": request.delay,
+        "sensing": axes.sensing.tolist(),
+        "actuation": axes.actuation.tolist(),
+        "decoupling": axes.words,
+        "outputs": matrix.outputs,
+        "inputs": matrix.inputs,
+        "axes": [
+            {"name": name, "units": units, "controller": f"{folder}/{request.name}_{k}.json"}
+            for k, (name, units, folder) in enumerate(
+                zip(wanted.names, wanted.units, folders, strict=True), 1
+            )
+        ],
+        "checked": held,
+        "file": matrix.source,
+        "sha256": hashlib.sha256(wanted.file.read_bytes()).hexdigest(),
+        "band_hz": task.closed.band_hz,
+    }
+    files = {**code, "axes.json": json.dumps(about, indent=1, allow_nan=False) + "\n"}
+    files["report.html"] = _page(task, low, judged, sigma, answer)
+    for name, text in files.items():
+        (task.folder / name).write_text(text, encoding="utf-8")
+    return [*answer, f"C and reasons: {out}: {', '.join(sorted([*files, *folders]))}"]
+
+
+def _page(
+    task: _Task, low: LowEnd | None, judged: Judged, sigma: Mapping[str, float], answer: Sequence[str]
+) -> str:
+    wanted, axes, matrix = task.wanted, task.axes, task.wanted.matrix
+    units = [f"{y} and {u}" for y, u in wanted.units]
+    rows = [
+        [name, unit, f"{each.made['mass']:.4g} {each.made['mass_unit']}", each.made["use"],
+         f"{in_hertz(each.loop.crossing_hz(each.pid))}", f"{peak:.2f}", f"{most:.2f}"]
+        for name, unit, each, peak, most in zip(wanted.names, units, task.loops, judged.peaks_db, judged.box_db, strict=True)
+    ]  # fmt: skip
+    head = ["axis", "units", "mass", "use", "bandwidth (Hz)", "|S_kk| (dB)", "in the box (dB)"]
+    inner = interaction(axes.of(matrix.accelerance))
+    facts = [
+        ["largest singular value of S_O at the sensors, S_I at the actuators",
+         ", ".join(f"{name} {20 * np.log10(size):.2f} dB" for name, size in sigma.items())],
+        ["distance of the characteristic loci from -1", f"{judged.distance:.3f}"],
+        ["largest Perron root of |E| |T|", f"{judged.bound.max():.3g}: {_proof(judged)}"],
+        ["beside the diagonal of the decoupled response (Perron root of |E|)",
+         f"{np.median(inner[: max(8, len(inner) // 20)]):.2g} at the lowest lines, 0.1 passed at "
+         f"{next((f'{f:.4g} Hz' for f, e in zip(matrix.hertz, inner, strict=True) if e > 0.1), 'none')}"],
+        ["decoupling", axes.words],
+    ]  # fmt: skip
+    if low is not None:
+        kind = "free to move: the accelerance" if low.free else "on springs: the compliance"
+        facts.append(
+            ["low end", f"{kind} is a real matrix up to {low.end_hz:.4g} Hz within {100 * low.misfit:.2g} %, condition "
+             f"{low.condition:.3g} with all units scaled away"]
+        )  # fmt: skip
+    tables = [
+        ("T_y, rows: axes", axes.sensing, matrix.outputs, wanted.names),
+        ("T_u, columns: axes", axes.actuation, wanted.names, matrix.inputs),
+    ]
+    body = "".join(f"<p>{html.escape(one_line(line))}</p>\n" for line in answer)
+    body += table(head, rows) + table([], facts)
+    body += "<h2>The decoupling</h2>\n" + "".join(
+        f"<p>{words}</p>" + table(["", *columns], [[n, *(f"{x:.5g}" for x in row)] for n, row in zip(side, values, strict=True)])
+        for words, values, columns, side in tables
+    )  # fmt: skip
+    body += picture(paint_decoupling(task.closed), "responses before and behind the decoupling")
+    body += f"<h2>The loops</h2>\n{picture(paint_axes(task.closed), 'sensitivities of all axes')}"
+    body += "".join(
+        f'<p><a href="axis-{k}/report.html">{html.escape(name)}</a></p>'
+        for k, name in enumerate(wanted.names, 1)
+    )
+    return page(
+        "report.html", source=html.escape(matrix.source), kind=": controllers of its axes", body=body,
+        held=html.escape(inspect_file(str(wanted.file))),
+    )  # fmt: skip
+
+
+def _proof(judged: Judged) -> str:
+    if judged.bound.max() < 1:
+        return "below 1, which alone proves the loops stable, whichever are open or have less gain"
+    return "not below 1, so that this bound proves nothing: the turns of det(I + L) do"

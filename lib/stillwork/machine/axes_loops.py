@@ -1,0 +1,160 @@
+"""The loops of decoupled axes on the measured matrix: what is checked of all of them at once, and their pictures."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+
+from stillwork.control.bandwidth import SIX_DB
+from stillwork.control.pid import Pid
+from stillwork.identification.matrix_files import MatrixFile
+from stillwork.machine import pictures
+from stillwork.machine.decoupled import Axes, Judged, interaction, judge
+from stillwork.machine.designed_loop import DesignedLoop
+
+MOST_PLACES = 200  # of the box
+
+
+class AxesLoops(NamedTuple):
+    """Controllers that were written, one an axis, around a measured matrix."""
+
+    matrix: MatrixFile
+    axes: Axes
+    names: tuple[str, ...]
+    loops: list[DesignedLoop]
+    rate: float  # Hz
+    delay: float  # samples
+    band_hz: tuple[float, float]  # where the matrix is the plant
+    shares: Mapping[str, float]  # of the box
+
+    def places(self) -> list[tuple[float, np.ndarray]]:
+        """Of the box: how far all modes move together, and the gain of each axis; the middle first."""
+        count, shares = len(self.names), self.shares
+        moves = [0.0, shares.get("frequency", 0.0), -shares.get("frequency", 0.0)]
+        gain = shares.get("gain", 0.0) + shares.get("mass", 0.0)
+        signs = (
+            list(product((1.0, -1.0), repeat=count))[: MOST_PLACES // len(moves)]
+            if gain
+            else [np.zeros(count)]
+        )
+        found = [(0.0, np.ones(count))]
+        return found + [(move, 1 + gain * np.array(sign)) for move in dict.fromkeys(moves) for sign in signs]
+
+    def gains(self, places, slower: np.ndarray | None = None) -> list[np.ndarray]:
+        """Loop gains at places of the box; with `slower`, of PID controllers at these shares of their bandwidths."""
+        return [
+            self.plant(move) * (self._controllers(move, slower) * gain)[:, None, :] for move, gain in places
+        ]
+
+    def lines(self, move: float = 0.0) -> np.ndarray:
+        """Frequencies of the measured lines, rad/s, where all modes have moved by a share."""
+        hertz = self.matrix.hertz
+        inside = (hertz >= self.band_hz[0]) & (hertz * (1 + abs(move)) <= self.band_hz[1])
+        return 2 * np.pi * hertz[inside] * (1 + move)
+
+    def plant(self, move: float = 0.0, inner: bool = True) -> np.ndarray:
+        """Sampled response from the axes' forces to their positions; not `inner`: from the actuators to the sensors.
+
+        Aliases are taken from the model of each axis, and so off the diagonal there are none.
+        """
+        omega = self.lines(move)
+        turn = 1j * omega / self.rate
+        late = -np.expm1(-turn) / turn * np.exp(-turn * self.delay)
+        hertz, seen = self.matrix.hertz, self.matrix.accelerance
+        first = np.searchsorted(hertz, self.band_hz[0])
+        seen = seen[first : first + len(omega)]
+        position = (self.axes.of(seen) if inner else seen) * (-late / omega**2)[:, None, None]
+        if inner:
+            for k, each in enumerate(self.loops):
+                position[:, k, k] += each.loop.plant_at(omega) - each.loop.plant_at(omega, held=False)
+        return position
+
+    def _controllers(self, move: float, slower: np.ndarray | None) -> np.ndarray:
+        """From the error to the force of each axis, (lines, axes)."""
+        omega = self.lines(move)
+        if slower is None:
+            return np.stack([each.response(omega) for each in self.loops], axis=1)
+        pairs = zip(self.loops, slower, strict=True)
+        return np.stack([e.loop.at(_slower(e.pid, s), omega).output_controller for e, s in pairs], axis=1)
+
+    def judged(self) -> Judged:
+        """All that is checked, with what was written."""
+        return judge(self.gains(self.places()))
+
+    def sensitivities(self) -> dict[str, np.ndarray]:
+        """S_O at the sensors and S_I at the actuators, (lines, n, n)."""
+        plant = self.plant(inner=False)
+        whole = self.axes.actuation @ (self._controllers(0.0, None)[:, :, None] * self.axes.sensing)
+        loops = {"S_O": plant @ whole, "S_I": whole @ plant}
+        return {name: np.linalg.inv(np.eye(each.shape[1]) + each) for name, each in loops.items()}
+
+    def stability(self, judged: Judged) -> str:
+        """In words."""
+        if judged.stable:
+            return "stable, whichever axes are open"
+        if not judged.counted:
+            return "the lines are too far apart, or end too early, to count turns"
+        sets = "; ".join(" and ".join(self.names[k] for k in each) for each in judged.unstable[:3])
+        return f"unstable with {sets} closed"
+
+
+def _slower(pid: Pid, share: float) -> Pid:
+    rates = {name: share * getattr(pid, name) for name in ("integrator", "differentiator", "low_pass")}
+    return replace(pid, gain=share**2 * pid.gain, **rates)
+
+
+def sizes(found: np.ndarray) -> str:
+    """dB in words."""
+    return " and ".join(f"{each:.2f}" for each in found)
+
+
+@pictures.house_style()
+def paint_decoupling(closed: AxesLoops):
+    """All entries of the accelerance, and of that of the axes; below what stands beside the diagonal."""
+    matrix = closed.matrix
+    figure, panels = pictures.new(1, 3, height=2.8)
+    shown = {"measured": matrix.accelerance, "decoupled": closed.axes.of(matrix.accelerance)}
+    for panel, (title, response) in zip(panels, shown.items(), strict=False):
+        for row, column in np.ndindex(response.shape[1:]):
+            own = (
+                {"linewidth": 1.0, "label": f"{row + 1},{row + 1}"}
+                if row == column
+                else {"color": pictures.GREY, "linewidth": 0.5}
+            )
+            panel.loglog(matrix.hertz, np.abs(response[:, row, column]), zorder=2 + (row == column), **own)
+        panel.set(title=f"{title} (grey: off-diagonal)", xlabel="frequency (Hz)")
+        if response.shape[1] == response.shape[2]:
+            panels[2].loglog(
+                matrix.hertz, np.maximum(interaction(response), 1e-9), linewidth=0.9, label=title
+            )
+    panels[0].set_ylabel("acceleration over force")
+    panels[2].set(title="beside the diagonal", xlabel="frequency (Hz)")
+    panels[2].legend()
+    return figure
+
+
+@pictures.house_style()
+def paint_axes(closed: AxesLoops):
+    """Singular values of S_O and S_I, and the sensitivity of each axis: alone, and with all axes closed."""
+    hertz = closed.lines() / (2 * np.pi)
+    whole = np.eye(len(closed.loops)) + closed.gains(closed.places()[:1])[0]
+    figure, (left, right) = pictures.new(1, 2, height=2.8, sharey=True)
+    for name, response in closed.sensitivities().items():
+        size = np.linalg.norm(response, 2, axis=(1, 2))
+        left.semilogx(hertz, 20 * np.log10(size), linewidth=0.9, label=name)
+    together = np.abs(np.einsum("fii->fi", np.linalg.inv(whole)))
+    alone = np.abs(1 / np.einsum("fii->fi", whole))
+    for k, name in enumerate(closed.names):
+        (line,) = right.semilogx(
+            hertz, 20 * np.log10(together[:, k]), linewidth=0.9, label=pictures.literal(name)
+        )
+        right.semilogx(
+            hertz, 20 * np.log10(alone[:, k]), linewidth=0.7, linestyle="--", color=line.get_color()
+        )
+    for panel, title in ((left, "largest singular value (dB)"), (right, "|S_kk|; dashed: the axis alone")):
+        panel.axhline(20 * np.log10(SIX_DB), color=pictures.BLACK, linestyle=":", linewidth=1.0)
+        panel.set(title=title, xlabel="frequency (Hz)", ylim=(-50, 15))
+        panel.legend()
+    return figure

@@ -1,0 +1,225 @@
+"""Static decoupling of a measured matrix response, and the loops of its axes on the whole of it.
+
+With q = T_y y and u = T_u f the response from f to q is T_y H T_u. What the machine does at low frequencies is a real
+matrix R: of its accelerance where it is free to move, of its compliance where springs hold it. T_y and T_u make it
+diagonal; of the many that do, those are taken that leave least beside the diagonal above.
+"""
+
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Complex128, Float64
+from scipy import signal
+
+from stillwork.base.checks import InputError
+from stillwork.base.validation import checked
+from stillwork.machine.hardware import ALLOWED_DB
+
+LEAST, ENDS = 10, 40  # lines of the fit at the low end; how many ends of it are tried
+CLOSE = 2.0  # times the least misfit, up to which the low end is made longer
+WORST_MISFIT, WORST_CONDITION = 0.3, 100.0  # of the fit, and of what it found, with all units scaled away
+FREE = 0.3  # of the accelerance at the lowest lines, that R has at least where the machine is free
+PEAKS = 4  # resonances that are tried to be kept in one axis
+STANDS_OUT = 0.7  # of the logarithm of a response, by which they do
+RESOLVED = 2.6  # radians, by which the determinant may turn from line to line
+
+
+class LowEnd(NamedTuple):
+    """R + j w D + (j w)^2 Q of the accelerance, or of the compliance, at low frequencies, all units scaled away."""
+
+    free: bool  # accelerance
+    matrix: Float64[np.ndarray, "axes axes"]  # R
+    bend: Float64[np.ndarray, "axes axes"]  # Q
+    end_hz: float
+    misfit: float  # root mean square, relative
+    condition: float  # of R
+
+
+class Axes(NamedTuple):
+    """A decoupling, with what is special about it in words."""
+
+    sensing: Float64[np.ndarray, "axes outputs"]  # T_y
+    actuation: Float64[np.ndarray, "inputs axes"]  # T_u
+    words: str
+
+    @checked
+    def of(
+        self, response: Complex128[np.ndarray, "lines outputs inputs"]
+    ) -> Complex128[np.ndarray, "lines axes axes"]:
+        """The response from the axes' forces to their positions."""
+        return self.sensing @ response @ self.actuation
+
+
+@checked
+def scaled_alike(sizes: Float64[np.ndarray, "n n"]) -> tuple[np.ndarray, np.ndarray]:
+    """Factors of rows and columns that make them alike (Sinkhorn), so that no unit of an input or output counts."""
+    rows, columns = np.ones(len(sizes)), np.ones(len(sizes))
+    for _ in range(200):
+        rows = 1 / np.sqrt((sizes**2 * columns**2).sum(axis=1))
+        columns = 1 / np.sqrt((sizes.T**2 * rows**2).sum(axis=1))
+    return rows, columns
+
+
+@checked
+def low_end(hertz: Float64[np.ndarray, " lines"], accelerance: Complex128[np.ndarray, "lines n n"]) -> LowEnd:
+    """Fit the low end of a response whose rows and columns are alike, as far up as it goes on like that."""
+    tried: dict[bool, list[tuple[float, float, np.ndarray]]] = {True: [], False: []}
+    ends = np.unique(np.geomspace(LEAST, len(hertz), ENDS).astype(int))
+    for free in tried:
+        seen = accelerance if free else -accelerance / (2 * np.pi * hertz[:, None, None]) ** 2
+        for end in ends:
+            s = 1j * hertz[:end] / hertz[end - 1]
+            size = np.linalg.norm(seen[:end], axis=(1, 2))
+            powers = np.stack([np.ones(end), s, s * s], axis=1) / size[:, None]
+            target = (seen[:end] / size[:, None, None]).reshape(end, -1)
+            whole, wanted = (np.vstack([each.real, each.imag]) for each in (powers, target))
+            terms = np.linalg.lstsq(whole, wanted, rcond=None)[0]
+            misfit = float(np.sqrt(np.mean(np.sum(np.abs(powers @ terms - target) ** 2, axis=1))))
+            tried[free].append((misfit, float(hertz[end - 1]), terms.reshape(3, *seen.shape[1:])))
+    first = np.linalg.norm(accelerance[:LEAST], axis=(1, 2)).mean()
+    free = bool(np.linalg.norm(tried[True][0][2][0]) > FREE * first)
+    least = min(each[0] for each in tried[free])
+    misfit, end_hz, (matrix, _, bend) = max(
+        (each for each in tried[free] if each[0] <= max(CLOSE * least, 0.01)), key=lambda each: each[1]
+    )
+    return LowEnd(free, matrix, bend, end_hz, misfit, float(np.linalg.cond(matrix)))
+
+
+@checked
+def decouplings(
+    hertz: Float64[np.ndarray, " lines"], accelerance: Complex128[np.ndarray, "lines n n"]
+) -> tuple[LowEnd, list[Axes]]:
+    """Decouplings of the low end, the one first that leaves least beside the diagonal above it.
+
+    Tried are the positions of the sensors, the forces of the actuators, and the axes that two real matrices have in
+    common: R, and either what bends the low end or the sum of the strongest resonances.
+    """
+    rows, columns = scaled_alike(np.sqrt(np.mean(np.abs(accelerance[:LEAST]) ** 2, axis=0)))
+    seen = rows[:, None] * accelerance * columns
+    low = low_end(hertz, seen)
+    if not (low.misfit < WORST_MISFIT and low.condition < WORST_CONDITION):
+        raise InputError(
+            f"below {low.end_hz:.4g} Hz the response is no real matrix that can be inverted (misfit {100 * low.misfit:.2g} %, "
+            f"condition {low.condition:.3g} with all units scaled away): fewer rigid-body modes than axes, some axes free "
+            "and others on springs, or noise; choose outputs and inputs that move independently, begin lower, or give "
+            "sensing and actuation"
+        )
+    inverse, one = np.linalg.inv(low.matrix), np.eye(len(rows))
+    moved = np.abs(np.linalg.eigvals(seen @ inverse)).max(axis=1) / hertz**2  # no unit counts in them
+    tops, about = signal.find_peaks(np.log(moved), prominence=STANDS_OUT)
+    tops = tops[np.argsort(-about["prominences"])][:PEAKS]
+    pairs = {"those of the sensors": (one, inverse), "those of the actuators": (inverse, one)}
+    shared = {"shared with what bends the low end": low.bend}
+    shared |= {f"shared with the resonance at {hertz[k]:.4g} Hz": seen[k].imag for k in tops}
+    if len(tops) > 1:
+        shared["shared with the strongest resonances"] = sum(seen[k].imag / hertz[k] ** 2 for k in tops)
+    for words, other in shared.items():
+        values, vectors = np.linalg.eig(inverse @ other)
+        order = np.argsort(-values)
+        if values.dtype.kind == "f" and np.linalg.cond(vectors) < WORST_CONDITION:
+            vectors = vectors[:, order]
+            pairs[words] = np.linalg.inv(vectors) @ inverse, vectors
+    above = hertz > low.end_hz if low.free else hertz > 0
+    left = {}
+    for words, (sensing, actuation) in pairs.items():
+        inner = sensing @ seen[above] @ actuation / hertz[above, None, None] ** 2
+        off = np.abs(inner * (1 - one)) if above.any() else np.zeros((1, *one.shape))
+        left[words] = float(np.abs(np.linalg.eigvals(off)).max())
+    found = [
+        scaled_to_sensors(sensing * rows, columns[:, None] * actuation, words)
+        for words, (sensing, actuation) in sorted(pairs.items(), key=lambda each: left[each[0]])
+    ]
+    return low, found
+
+
+@checked
+def scaled_to_sensors(sensing: np.ndarray, actuation: np.ndarray, words: str) -> Axes:
+    """Each axis in the unit of its largest sensor and of its largest actuator, counted along that sensor."""
+    rows = np.take_along_axis(sensing, np.abs(sensing).argmax(axis=1)[:, None], axis=1)
+    columns = np.sign(rows.T) * np.abs(actuation).max(axis=0)
+    return Axes(sensing / rows, actuation / columns, words)
+
+
+@checked
+def interaction(response: Complex128[np.ndarray, "lines n n"]) -> Float64[np.ndarray, " lines"]:
+    """Perron root of |E|, E = (G - G~) G~^-1 with G~ the diagonal of G: what is beside the diagonal, in no unit."""
+    own = np.einsum("fii->fi", response)
+    off = np.abs(response) * (1 - np.eye(response.shape[1])) / np.abs(own)[:, None, :]
+    return np.abs(np.linalg.eigvals(off)).max(axis=1)
+
+
+class Judged(NamedTuple):
+    """The loops of all axes at once on the measured matrix; frequencies are lines."""
+
+    stable: bool
+    unstable: tuple[
+        tuple[int, ...], ...
+    ]  # axes whose loops, closed together, make other turns than each alone
+    counted: bool  # whether the lines are enough to count the turns
+    excess: Float64[np.ndarray, " axes"]  # largest |S_kk| over its limit; above 1: broken
+    peaks_db: Float64[np.ndarray, " axes"]  # of S_kk on the measurement
+    box_db: Float64[np.ndarray, " axes"]  # likewise at all places tried
+    bound: Float64[
+        np.ndarray, " lines"
+    ]  # Perron root of |E| |T~|; below 1: stable, and whichever loops are open
+    distance: float  # of the characteristic loci from -1
+    worst: int  # of the places, that with the largest excess
+
+    @property
+    def holds(self) -> bool:
+        """Whether all is kept."""
+        return self.stable and bool(np.all(self.excess <= 1))
+
+
+@checked
+def turns(matrix: Complex128[np.ndarray, "lines n n"]) -> tuple[int, bool]:
+    """Turns around zero that det(I + L) makes more than the product of its diagonal, and whether lines are enough."""
+    ratio = np.linalg.det(matrix) / np.prod(np.einsum("fii->fi", matrix), axis=1)
+    steps = np.angle(ratio[1:] / ratio[:-1])
+    ends = np.angle(ratio[[0, -1]])
+    count = round(float(steps.sum() - ends[1] + ends[0]) / (2 * np.pi))
+    return count, bool(np.abs(steps).max() < RESOLVED and np.abs(ends).max() < np.pi / 2)
+
+
+@checked
+def judge(places: list[Complex128[np.ndarray, "lines n n"]]) -> Judged:
+    """Stability and peaks of the loop gains L = T_y P T_u K of all axes at once, at places of a box, the middle first.
+
+    The loop of each axis alone is known to be stable. Then all are, closed together, if det(I + L) turns around zero
+    as often as the product of its diagonal does; this is counted for every set of closed loops in the middle, and for
+    all of them elsewhere. S_kk, the error of an axis over its own setpoint while all others are controlled, may reach
+    6 dB, or what it has alone where that is more.
+    """
+    gain = places[0]
+    n = gain.shape[1]
+    one, allowed = np.eye(n), 10 ** (ALLOWED_DB / 20)
+    counted, box, unstable, exceeded = True, np.zeros(n), [], []
+    for number, each in enumerate(places):
+        whole = one + each
+        sets = [tuple(range(n))]
+        if not number:
+            sets = [kept for size in range(2, n + 1) for kept in combinations(range(n), size)]
+        for kept in sets:
+            count, enough = turns(whole[np.ix_(range(len(whole)), kept, kept)])
+            counted &= enough
+            if count or not enough:
+                unstable.append(kept)
+        sizes = np.abs(np.einsum("fii->fi", np.linalg.inv(whole)))
+        alone = np.abs(1 / np.einsum("fii->fi", whole))
+        exceeded.append((sizes / np.maximum(allowed, (1 + 1e-9) * alone)).max(axis=0))
+        box = np.maximum(box, sizes.max(axis=0))
+    whole = one + gain
+    own = np.einsum("fii->fi", gain)
+    bound = np.abs(gain) * (1 - one) / np.abs(1 + own)[:, None, :]  # |E| |T~|
+    return Judged(
+        not unstable,
+        tuple(dict.fromkeys(unstable)),
+        counted,
+        np.max(exceeded, axis=0),
+        20 * np.log10(np.abs(np.einsum("fii->fi", np.linalg.inv(whole))).max(axis=0)),
+        20 * np.log10(box),
+        np.abs(np.linalg.eigvals(bound)).max(axis=1),
+        float(np.abs(1 + np.linalg.eigvals(gain)).min()),
+        int(np.argmax(np.max(exceeded, axis=1))),
+    )
