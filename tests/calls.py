@@ -22,7 +22,7 @@ PACKAGES = {
 # No calls: made by the functions beside them, warnings and errors.
 RESULTS = {
     "Peak", "Identified", "Machine", "ModalFit", "Adaptation", "KalmanGain", "MinMaxSolution", "Track", "Bandwidth",
-    "GainProof", "MinimalRealisation", "Margins", "CancellationWarning",
+    "GainProof", "MinimalRealisation", "CancellationWarning",
     "LoopResponse", "ControlledRun", "Loop", "UnstableAdaptation", "ZeroEstimateWarning", "ContractionWarning",
 }  # fmt: skip
 # Calls whose good arguments stand for a file or a machine that is not there.
@@ -191,7 +191,6 @@ def catalogue() -> dict:
         "h2_norm": (lti.h2_norm, {"model": state}),
         "hinf_norm": (lti.hinf_norm, {"model": state}),
         "minimal_realisation": (lti.minimal_realisation, {"model": state, "tolerance": 1e-10}),
-        "margins": (control.margins, {"loop": state}),
         "interconnect": (lti.interconnect, {"models": [state], **joined, "direct": np.zeros((1, 1))}),
         "modal_model": (lti.modal_model, {"mass": np.eye(2), "stiffness": np.array([[2.0, -1], [-1, 2]]), "input_map": np.ones((2, 1)), "output_map": np.ones((1, 2)), "damping_ratio": 0.01}),
         "modal_model, damped": (lti.modal_model, {"mass": np.eye(2), "stiffness": np.array([[2.0, -1], [-1, 2]]), "input_map": np.ones((2, 1)), "output_map": np.ones((1, 2)), "damping_matrix": 0.1 * np.eye(2)}),
@@ -207,7 +206,6 @@ def catalogue() -> dict:
         "fit_modes": (i.fit_modes, {"measured": measured, "guesses_hz": [48.0, 143.0], "band_hz": (10.0, 200.0)}),
         "require_explained": (m.require_explained, {"path": "missing.csv", "file": None, "machine": None, "fit_hz": (10.0, 200.0), "options": {}}),
         "load_machine": (i.load_machine, {"file": "missing.csv", "response_unit": "m/s^2", "force_unit": "N", "sample_rate": 100.0, "response": "", "damping_ratio": 0.005}),
-        "coloured_noise_bound": (i.coloured_noise_bound, {"noise": signals.estimate_spectrum(signal, 10.0, 1.0), "taps": 3, "forgetting": 0.9, "coverage": 0.9, "draws": 5, "seed": 1}),
         "ExtendedKalman": (e.ExtendedKalman, fields(e.ExtendedKalman(plant))),
         "FeLms": (e.FeLms, fields(e.FeLms())),
         "FeRls": (e.FeRls, fields(e.FeRls(np.eye(3)))),
@@ -269,8 +267,6 @@ def catalogue() -> dict:
         "Feedforward": (c.Feedforward, fields(c.Feedforward(1.0, 1.0, 1.0, 1.0))),
         "Feedforward.force": (c.Feedforward(1.0).force, {"setpoint": setpoint}),
         "FlowTransformation": (c.FlowTransformation, fields(c.FlowTransformation())),
-        "JointKalman": (c.JointKalman, fields(c.JointKalman(arm))),
-        "JointKalman.packed": (lambda **named: c.JointKalman(**named).packed(), fields(c.JointKalman(arm))),
         "KinematicDesign": (c.KinematicDesign, fields(c.KinematicDesign(10.0))),
         "KinematicDesign.gains": (lambda **named: c.KinematicDesign(**named).gains, fields(c.KinematicDesign(10.0))),
         "Notch": (c.Notch, fields(c.Notch(10.0))),

@@ -12,7 +12,6 @@ from experiments.fixedpoint.oscillator import load_oscillator
 from stillwork.control import (
     Controller,
     DisturbanceObserver,
-    JointKalman,
     KinematicDesign,
     Mechanism,
     SlotineLi,
@@ -291,28 +290,25 @@ COMPUTED, OBSERVER, ADAPTIVE, FIXED = (
     "fixed point",
 )
 FROZEN = "Slotine-Li, not adapting"
-EACH, ALL = "fixed point with EKF an axis", "fixed point with EKF of all"
+EACH = "fixed point with EKF an axis"
 LAWS = (COMPUTED, OBSERVER, ADAPTIVE, FIXED)
-INKS = figures.BLACK, figures.GREEN, figures.ORANGE, figures.BLUE, figures.SKY, figures.PURPLE
-COLOURS = dict(zip((*LAWS, EACH, ALL), INKS, strict=True))
+INKS = figures.BLACK, figures.GREEN, figures.ORANGE, figures.BLUE, figures.SKY
+COLOURS = dict(zip((*LAWS, EACH), INKS, strict=True))
 _LOW_PASS = {"exponent": (2.0, 150.0), "bandwidth": (30.0, 1900.0)}  # 1/s, rad/s
-_KALMAN = {"exponent": (2.0, 150.0), "strength": (0.003, 1.2), "disturbance_step": (1e-2, 1e3)}
 RANGES = {
     COMPUTED: _LOW_PASS,
     OBSERVER: _LOW_PASS | {"gain": (0.003, 1.0)},
     ADAPTIVE: _LOW_PASS | {"feedback": (1.0, 1000.0), "adaptation": (1e-6, 100.0)},
     FIXED: _LOW_PASS | {"strength": (0.003, 1.2)},
-    EACH: _KALMAN,
-    ALL: _KALMAN,
+    EACH: {"exponent": (2.0, 150.0), "strength": (0.003, 1.2), "disturbance_step": (1e-2, 1e3)},
 }
 
 
 def law_of(machine: Machine, name: str, numbers: dict[str, float]) -> Controller | SlotineLi:
     """A law at a point of its search. All take the error from what is measured but those with a Kalman filter."""
     model, exponent = machine.model, numbers["exponent"]
-    if name in (EACH, ALL):
-        how = numbers["disturbance_step"], NOISE
-        device = JointKalman(model, *how) if name == ALL else ExtendedKalman(UNIT_MASS, *how)
+    if name == EACH:
+        device = ExtendedKalman(UNIT_MASS, numbers["disturbance_step"], NOISE)
     else:
         device = LowPass(numbers["bandwidth"])
     if name in (ADAPTIVE, FROZEN):
@@ -383,7 +379,7 @@ def tune(machine: str, law: str, seed: int, criterion: str) -> dict[str, float]:
 STORED = paths.data("fixedpoint", "tuned_controllers.csv")
 SEEDS = 11, 13, 17
 SEARCHES = [
-    *product((*LAWS, EACH, ALL), SEEDS, ["position"]),
+    *product((*LAWS, EACH), SEEDS, ["position"]),
     *product(LAWS, SEEDS[:2], ["velocity"]),
 ]
 
@@ -575,7 +571,7 @@ SHORT = {"oscillator": "oscillator", "two-link arm": "two-link", "3-axis arm": "
 def appendix(
     page, *, found: dict[str, dict[str, np.ndarray]], tunings: list[int], plants: int, seed: int
 ) -> None:
-    """What this notebook judges beside its answer: by machine and case, tuned for q', and one filter for all axes.
+    """What this notebook judges beside its answer: by machine and case, and tuned for q'.
 
     Parameters
     ----------
@@ -613,28 +609,6 @@ def appendix(
     for law in LAWS:
         page.show(f"{law}: {best_share(found, law)[0]:.2f} and {best_share(fast, law)[0]:.2f}")
     page.show("settings at an end of their range: " + ("; ".join(at_edge()) or "none"))
-    page.text(ONE_FILTER)
-    for machine in MACHINES:
-        ratio, _ = compared(found, EACH, FIXED, (machine,), held=True)
-        page.show(f"{machine}, neither diverges: {EACH} over the low pass {ratio:.2f}")
-    gains = []
-    for machine in ("two-link arm", "3-axis arm"):
-        gains.append(compared(found, ALL, EACH, (machine,)))
-        page.check(f"fixedpoint.beside.{SHORT[machine]}.joint-filter", *gains[-1])
-    page.conclude(
-        "One filter for all axes leaves {low:.2f} to {high:.2f} of the error of one an axis: it hardly pays.",
-        "One filter for all axes leaves {low:.2f} to {high:.2f} of the error of one an axis.",
-        when=min(ratio for ratio, _ in gains) > 0.9,
-        low=min(ratio for ratio, _ in gains),
-        high=max(ratio for ratio, _ in gains),
-    )
-
-
-ONE_FILTER = r"""## One filter for all axes
-
-The model of an extended Kalman filter with disturbances may be a free unit mass for each axis, moved by the commanded
-acceleration, or the coupled model with the forces $u = \hat M(\hat q)\,r + \hat h(\hat q, \hat{\dot q})$. The joint filter
-predicts $\hat M^{-1}(u - \hat h) = r$, as the single filters do; only its Jacobian and covariance are new."""
 
 
 if __name__ == "__main__":

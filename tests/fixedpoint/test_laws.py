@@ -1,4 +1,4 @@
-"""Laws beside the fixed point and the filter of all coordinates: numpy twins, closed forms, energy, a solver."""
+"""Laws beside the fixed point: numpy twins, closed forms, energy, a solver."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,6 @@ from stillwork.base.checks import InputError
 from stillwork.control import (
     Controller,
     DisturbanceObserver,
-    JointKalman,
     KinematicDesign,
     Mechanism,
     SlotineLi,
@@ -20,10 +19,8 @@ from stillwork.control import (
     simulate_mechanism,
 )
 from stillwork.control.fixed_point_linear import linear_loop
-from stillwork.control.transformation import RobustTransformation
-from stillwork.estimation import ExtendedKalman, LowPass
+from stillwork.estimation import LowPass
 from stillwork.estimation.coordinate_filters import MovingWindow
-from stillwork.estimation.filtering import UNIT_MASS
 
 DT = 1e-3
 
@@ -164,64 +161,10 @@ def test_slotine_and_li_s_energy_falls_at_its_rate_and_samples_converge_to_it(ar
     assert errors[1][0] < 2e-3
 
 
-def test_the_joint_filter_is_its_twin(arm, short, rng):
-    """Extended Kalman filter by numpy, its Jacobian by differences of a prediction; with losses in one joint and in both."""
-    noise = 1e-4 * rng.standard_normal((2, len(short.position)))
-    noise[0, 100:120] = np.nan
-    noise[:, 110:115] = np.nan
-    model = arm.approximate
-    kalman = JointKalman(model, 2.0, 1e-4, 1e-3)
-    parts = Controller(kalman, RobustTransformation(), KinematicDesign(12.0), model)
-    runs = simulate_mechanism(arm.exact, parts, [short] * 2, noise)
-    assert not runs[0].cause
-    measured = np.array([run.position for run in runs]) + noise
-    force = np.column_stack([np.zeros(2), np.array([run.force for run in runs])[:, :-1]])
-    x = np.r_[[short.velocity[0]] * 2, measured[:, 0] - DT * short.velocity[0], 0, 0]
-    P = np.diag([1.0, 1.0, 1e-4, 1e-4, 100.0, 100.0])
-    Q = np.diag([1e-6, 1e-6, 0, 0, 4.0, 4.0])
-    expected = []
-    for i in range(len(short.position)):
-
-        def move(state, push=force[:, i]):
-            v = state[:2] + DT * (model.acceleration(state[2:4], state[:2], push) + state[4:])
-            return np.r_[v, state[2:4] + DT * v, state[4:]]
-
-        F = np.array([(move(x + 1e-5 * e) - move(x - 1e-5 * e)) / 2e-5 for e in np.eye(6)]).T
-        x, P = move(x), F @ P @ F.T + Q
-        H = np.eye(6)[2:4][~np.isnan(measured[:, i])]
-        if len(H):
-            K = P @ H.T @ np.linalg.inv(H @ P @ H.T + 1e-8 * np.eye(len(H)))
-            x = x + K @ (measured[:, i][~np.isnan(measured[:, i])] - H @ x)
-            P = P - K @ H @ P
-        expected.append(np.r_[x[2:4], x[:2], model.acceleration(x[2:4], x[:2], force[:, i]) + x[4:]])
-    found = [
-        getattr(run, f"{name}_estimate") for name in ("position", "velocity", "acceleration") for run in runs
-    ]
-    size = np.abs(expected).max(axis=0)
-    assert np.all(np.abs(np.array(found).T - expected).max(axis=0) < 1e-5 * size)
-
-
-def test_on_unit_masses_the_joint_filter_is_one_of_each_coordinate(short, rng):
-    plant, model = (Mechanism(cart_inertia, cart_bias, 2, [mass, 0.0, 0.0]) for mass in (1.3, 1.0))
-    noise = 1e-4 * rng.standard_normal((2, len(short.position)))
-    runs = [
-        simulate_mechanism(
-            plant, Controller(each, RobustTransformation(), KinematicDesign(12.0), model), [short] * 2, noise
-        )
-        for each in (JointKalman(model), ExtendedKalman(UNIT_MASS))
-    ]
-    for one, two in zip(*runs, strict=True):
-        assert one.position == pytest.approx(two.position, abs=1e-9)
-
-
 def test_what_they_are_not_made_for_is_refused(arm, short):
     observer = Controller(LowPass(), DisturbanceObserver(0.1), KinematicDesign(9.0), arm.approximate)
-    joint = Controller(
-        JointKalman(arm.approximate), RobustTransformation(), KinematicDesign(9.0), arm.approximate
-    )
-    for each, word in ((observer, "DisturbanceObserver"), (joint, "JointKalman")):
-        with pytest.raises(InputError, match=word):
-            linear_loop(arm.exact, each, DT, [0.0, 0.0], [0.0, 0.0])
+    with pytest.raises(InputError, match="DisturbanceObserver"):
+        linear_loop(arm.exact, observer, DT, [0.0, 0.0], [0.0, 0.0])
     guess, design = lumped(arm.approximate), KinematicDesign(9.0, order=1)
     with pytest.raises(InputError, match="linear in its parameters"):
         SlotineLi(LowPass(), design, arm.approximate, [1.0, 1.0], np.ones(13))

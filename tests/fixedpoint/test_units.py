@@ -6,7 +6,6 @@ import pytest
 from stillwork.control import (
     Controller,
     FlowTransformation,
-    JointKalman,
     KinematicDesign,
     Mechanism,
     SlotineLi,
@@ -25,15 +24,14 @@ from stillwork.estimation.filtering import UNIT_MASS
 # Parameters: the rotary joint's unit in rad over 1, moment of the beam, load on the slide, friction of both.
 EXACT, BELIEVED = (0.8, 3.0, 2.0, 5.0), (0.6, 3.5, 1.5, 4.0)
 FILTERS = {
-    "moving window": lambda size, model: MovingWindow(5),
-    "low pass": lambda size, model: LowPass(400.0),
-    "unscented": lambda size, model: UnscentedKalman(
+    "moving window": lambda size: MovingWindow(5),
+    "low pass": lambda size: LowPass(400.0),
+    "unscented": lambda size: UnscentedKalman(
         UNIT_MASS, np.array([0.1, 1e-3]) * size**2, np.array([1e-2, 1e-3]) * size**2, 1e-3 * size**2
     ),
-    "extended": lambda size, model: ExtendedKalman(
+    "extended": lambda size: ExtendedKalman(
         UNIT_MASS, size, 1e-4 * size, initial_deviation=(1e-2 * size, size, 10.0 * size)
     ),
-    "of both": lambda size, model: None,
 }
 
 
@@ -60,11 +58,10 @@ def loop_of(kind, unit):
     """Plant, controllers and trajectories, the first joint in this unit."""
     plant, model = polar(unit, EXACT), polar(unit, BELIEVED)
     sizes = np.array([unit, 1.0])
-    both = JointKalman(model, sizes, 1e-4 * sizes, 0.0, np.outer([1e-2, 1.0, 10.0], sizes))
-    robust = kind in ("unscented", "of both")
+    robust = kind == "unscented"
     controllers = [
         Controller(
-            FILTERS[kind](size, model) or both,
+            FILTERS[kind](size),
             RobustTransformation(4e7 * size, -1.05, strength / 4e7 / size)
             if robust
             else FlowTransformation(-strength * 20.0 * size, 20.0 * size),

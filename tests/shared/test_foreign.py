@@ -189,7 +189,7 @@ REFUSED = {
 
 @pytest.mark.parametrize("said", REFUSED)
 def test_what_is_no_model_is_refused_with_what_to_give(said):
-    for function in (lti.hinf_norm, lti.from_control, control.margins):
+    for function in (lti.hinf_norm, lti.from_control):
         with pytest.raises(InputError, match=said):
             function(REFUSED[said])
 
@@ -320,90 +320,6 @@ def test_a_minimal_realisation_has_the_response_and_no_state_too_many(seed):
     found = lti.minimal_realisation((turn @ a @ turn.T, turn @ b, c @ turn.T, theirs.D))
     assert len(found.model.a) == 4 and len(found.removed) == 2 and found.removed.max() < 1e-12
     assert agrees(found.model, theirs)
-
-
-def swept(loop, omega):
-    """Margins from a fine grid, by the matrices alone."""
-    point = np.exp(1j * omega * loop.dt) if loop.dt else 1j * omega
-    states = np.linalg.solve(point[:, None, None] * np.eye(loop.nstates) - loop.A, loop.B + 0j)
-    response = (loop.C @ states + loop.D)[:, 0, 0]
-    real = np.flatnonzero(response.imag[:-1] * response.imag[1:] < 0)
-    factors = [
-        -1 / response[k].real
-        for k in real
-        if response[k].real < 0 and abs(response[k].imag) < 0.1 * abs(response[k])
-    ]
-    factors += [-1 / response[-1].real] if loop.dt and response[-1].real < 0 else []
-    size = np.log(np.abs(response))
-    unit = np.flatnonzero(size[:-1] * size[1:] < 0)
-    share = size[unit] / (size[unit] - size[unit + 1])  # where it is one between two points
-    angle = np.angle(-response[unit]) + share * np.angle(response[unit + 1] / response[unit])
-    return {
-        "gain": min((each for each in factors if each > 1), default=np.inf),
-        "phase": min(np.abs(angle), default=np.inf),
-        "delay": min(np.mod(angle, 2 * np.pi) / omega[unit], default=np.inf),
-        "modulus": np.abs(1 + response).min(),
-    }
-
-
-@pytest.mark.parametrize("time", [0, 0.02])
-def test_margins_are_those_of_a_fine_grid(time):
-    rng = np.random.default_rng(5)
-    tried = 0
-    while tried < 4:
-        gain, pole, mode, damping = 10 ** rng.uniform([-1, 0, 0.5, -2], [1.5, 1, 1.5, -0.5])
-        plant = ct.tf([gain * mode**2], np.polymul([1, pole, 0], [1, 2 * damping * mode, mode**2]))
-        loop = ct.sample_system(ct.ss(plant), time) if time else ct.ss(plant)
-        if not lti.from_control(ct.feedback(loop, 1)).is_stable:
-            with pytest.raises(InputError, match="unstable when it is closed"):
-                control.margins(loop)
-            continue
-        tried += 1
-        (found,) = control.margins(loop)
-        top = np.pi / time if time else 1e4
-        wanted = swept(
-            loop,
-            np.sort(
-                np.append(
-                    np.geomspace(1e-3, top, 60_000), np.geomspace(0.5 * mode, min(2 * mode, top), 60_000)
-                )
-            ),
-        )
-        for name, value in wanted.items():
-            assert getattr(found, name) == pytest.approx(value, rel=1e-3), name
-
-
-def test_margins_of_a_textbook_loop_and_of_one_loop_at_a_time():
-    """1 / (s (s + 1) (s + 2)): gain margin 6 at sqrt 2 rad/s (Routh); two of them apart have the same in each channel."""
-    loop = lti.from_control(ct.tf([1.0], [1.0, 3.0, 2.0, 0.0]))
-    (found,) = control.margins(loop)
-    assert (found.gain, found.gain_omega) == (pytest.approx(6, rel=1e-9), pytest.approx(np.sqrt(2), rel=1e-9))
-    both = control.margins(ct.append(loop.to_control(), loop.to_control()))
-    assert [each.gain for each in both] == [pytest.approx(6, rel=1e-8)] * 2
-    assert control.margins(6.01 * loop * 0.9)[0].gain == pytest.approx(6 / 5.409, rel=1e-9)
-    turned = control.margins(
-        ct.ss([[0.0]], [[1.0, 0.0]], [[1.0], [0.0]], [[0.0, 0.5], [0.0, 0.0]])
-    )  # a triangle: the loops are apart
-    assert [each.gain for each in turned] == [np.inf, np.inf]
-
-
-@pytest.mark.parametrize(
-    ("loop", "wanted"),
-    [
-        (([-0.5, 0.0], [1.0, 1.0]), {"gain": 2.0}),  # closed pole -1 / (1 - k / 2)
-        (([1.5, 1.0], [1.0, 0.0]), {"gain": np.inf, "delay": 0.0}),  # above one at the highest frequencies
-        (([2.0, 1.0], [1.0, 0.0, 0.0]), {"gain": np.inf, "gain_reduction": 0.0}),
-        (([1.0], [1.0, 2.0, 1.0]), {"gain": np.inf, "delay": np.inf}),  # one at rest alone
-        (([1.0, 1.0], [1.0, 0.0, 1.0]), {"gain": np.inf, "gain_reduction": 0.0}),  # s^2 + k s + 1 + k
-        (([2e17], np.poly([1e4, -2e4, -3e5, -4e5])), {}),
-    ],
-)
-def test_margins_at_rest_and_at_the_highest_frequencies(loop, wanted):
-    if not wanted:  # an unstable plant, badly scaled: the gain may fall to -1 / L(0) at least
-        loop = (-2 * loop[1][-1] * np.ones(1), loop[1])
-        wanted = {"gain_reduction": 0.5}
-    (found,) = control.margins(ct.tf(*loop))
-    assert {name: getattr(found, name) for name in wanted} == pytest.approx(wanted, rel=1e-9)
 
 
 def test_slow_states_that_matter_stay():

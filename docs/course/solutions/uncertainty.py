@@ -13,9 +13,8 @@ from scipy import optimize
 from experiments.worstcase.theory import counter_example
 from stillwork.estimation import min_max_solve, track
 from stillwork.estimation.secular import secular_function
-from stillwork.identification import coloured_noise_bound, fir_regressors
+from stillwork.identification import fir_regressors
 from stillwork.identification.regressors import exponential_bound, noise_bound
-from stillwork.signals import estimate_spectrum
 
 
 def exercise_1(
@@ -199,27 +198,7 @@ def exercise_11(forgetting: float = 0.95, noise: float = 0.1) -> str:
     return f"{threshold:.2f}"
 
 
-def exercise_12(taps: int = 8, forgetting: float = 0.99) -> str:
-    """A bound from the record itself, for coloured noise: what white noise of the same power would miss."""
-    rng = np.random.default_rng(12)
-    rest = np.convolve(rng.standard_normal(64_000), np.ones(8) / np.sqrt(8), "valid")  # slow noise
-    spectrum = estimate_spectrum(rest, sample_rate=1000.0, resolution_hz=5.0)
-    coloured = coloured_noise_bound(spectrum, taps=taps, forgetting=forgetting, draws=100)
-    white = noise_bound(1.0, taps, forgetting)
-
-    weights = forgetting ** (np.arange(1500)[::-1] / 2)
-    norms = []
-    for start in range(0, 60_000, 1500):
-        part = rest[start : start + 1499 + taps]
-        norms.append(
-            np.linalg.norm(weights * np.stack([part[taps - 1 - k : 1499 + taps - k] for k in range(taps)]), 2)
-        )
-    assert 0.8 < np.quantile(norms, 0.975) / coloured < 1.2
-    assert np.median(norms) > white
-    return f"{coloured / white:.1f}"
-
-
-def exercise_13(power: float = 0.25) -> str:
+def exercise_12(power: float = 0.25) -> str:
     """The penalty that takes the bias away is minus the noise's power; the worst case wants it positive."""
     rng = np.random.default_rng(8)
     clean, noise = rng.standard_normal((2, 200_000))

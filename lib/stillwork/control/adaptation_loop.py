@@ -7,7 +7,6 @@ import numpy as np
 from stillwork.base.algebra import copy_vector
 from stillwork.base.kernels import borrowing_kernel, inlined_kernel, pasted_kernel
 from stillwork.control.held_force import HELD_ROWS, move_held, move_mechanism_held
-from stillwork.control.joint_kalman import JOINT, joint_extended_step
 from stillwork.control.mechanism import forward_dynamics, inverse_dynamics
 from stillwork.control.regressor import ROOM, fill_regressor
 from stillwork.control.transformation import deform_packed
@@ -190,7 +189,7 @@ def run_one_coordinate(
 
 
 @pasted_kernel
-def observe(device, acceleration, plant, joint_inertia, joint_bias, joint_plant, law, course, i, state):
+def observe(device, acceleration, plant, law, course, i, state):
     """Measure and filter all coordinates; false where a covariance is no longer positive definite."""
     kind, options, process, sensor, works = device
     estimate, rows, period = state.estimate, state.rows, course.sample_time
@@ -199,18 +198,10 @@ def observe(device, acceleration, plant, joint_inertia, joint_bias, joint_plant,
         measurement, last = (course.resolutions[j], course.grids[j], law.loss), state.memory[j, MEASURED]
         position, noise = state.motion[0, j], course.noise[j, i]
         measured[j] = measure_position(measurement, position, noise, period, estimate[j, 1], last)
-        row = 0 if kind == JOINT else j
-        own = Packed(kind, options[row], process[row], sensor[row], works[row])
-        if kind != JOINT and not filter_step(
-            own, acceleration, plant, period, measured[j], driven[j], estimate[j]
-        ):
+        own = Packed(kind, options[j], process[j], sensor[j], works[j])
+        if not filter_step(own, acceleration, plant, period, measured[j], driven[j], estimate[j]):
             return False
-    if kind != JOINT:
-        return True
-    force, room = rows[FORCE], rows[ROWS:]
-    return joint_extended_step(
-        own, joint_inertia, joint_bias, joint_plant, period, measured, force, estimate, room
-    )
+    return True
 
 
 @pasted_kernel
@@ -279,9 +270,6 @@ def run_mechanism(
     device,
     filter_acceleration,
     filter_plant,
-    joint_inertia,
-    joint_bias,
-    joint_plant,
     law,
     model_inertia,
     model_bias,
@@ -299,18 +287,7 @@ def run_mechanism(
     acting, acceleration = rows[ACTING], rows[ACCELERATION]
     for i in range(samples):
         parameters = course.plants[0] if i < course.changed else course.plants[1]
-        if not observe(
-            device,
-            filter_acceleration,
-            filter_plant,
-            joint_inertia,
-            joint_bias,
-            joint_plant,
-            law,
-            course,
-            i,
-            state,
-        ):
+        if not observe(device, filter_acceleration, filter_plant, law, course, i, state):
             return i, NOT_DEFINITE
         if len(law.feedback) == 0:
             status = iterate(law, model_inertia, model_bias, course, i, state)

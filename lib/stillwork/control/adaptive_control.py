@@ -175,7 +175,7 @@ def simulate_adaptive(
     course = make_course(plant, trajectories, noise, disturbance, change, bound)
     device = law.signal_filter.packed()
     options, process, sensor, work = (np.array([each] * count) for each in device[1:])
-    filters = Packed(device.kind, options, process, sensor, work), model_of(law.signal_filter), plant.compiled
+    filters = Packed(device.kind, options, process, sensor, work), model_of(law.signal_filter)
     parts = Law(
         EXTEND,
         True,

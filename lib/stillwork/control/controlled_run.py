@@ -158,7 +158,7 @@ def close_loop(
 ) -> tuple[list[ControlledRun], np.ndarray]:
     """Run of every coordinate, and the history of the parameters that an adaptive law estimates.
 
-    filters: packed side by side, what a filter of one coordinate believes of it, and what a joint one believes of all.
+    filters: packed side by side, and what a filter of one coordinate believes of it.
     start: (2, coordinates).
     """
     count, samples = course.noise.shape
@@ -166,14 +166,14 @@ def close_loop(
     record = np.full((count, COLUMNS, samples), np.nan)
     history = np.full((len(numbers) if len(law.feedback) else 0, samples), np.nan)
     state = first_state(start, course.nominal[:, 2, 0], law, numbers)
-    device, believed, joint = filters
+    device, believed = filters
     if isinstance(plant, Plant):
         device = device._replace(**{name: getattr(device, name)[0] for name in device._fields[1:]})
         parts = *model.compiled, plant.compiled[0]
         done, status = run_one_coordinate(device, *believed, law, *parts, course, state, record[0])
     else:
         parts = *model.compiled[:2], *plant.compiled[:2]
-        done, status = run_mechanism(device, *believed, *joint, law, *parts, course, state, record, history)
+        done, status = run_mechanism(device, *believed, law, *parts, course, state, record, history)
     pairs = ", ".join(f"{place:g} in position and {speed:g} in velocity" for place, speed in course.limits)
     ended = ending(status, done * course.sample_time, f" of {pairs}")
     return [

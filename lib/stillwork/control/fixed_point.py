@@ -16,7 +16,6 @@ from stillwork.control.controlled_run import (
     require_disturbance,
     require_noise,
 )
-from stillwork.control.joint_kalman import JointKalman
 from stillwork.control.kinematics import KinematicDesign
 from stillwork.control.mechanism import Mechanism
 from stillwork.control.trajectory import Trajectory
@@ -28,7 +27,7 @@ from stillwork.estimation.coordinate_filters import (
     require_sample_time,
 )
 from stillwork.estimation.filter_step import Packed
-from stillwork.estimation.filtering import UNIT_MASS, model_of
+from stillwork.estimation.filtering import model_of
 from stillwork.estimation.plant import Plant, force_slope, partial_derivatives
 
 LOSSES = ("predict", "hold")  # what stands for a sample that is lost
@@ -42,7 +41,7 @@ class Controller:
 
     Attributes
     ----------
-    signal_filter : Filter or JointKalman
+    signal_filter : Filter
         Estimates position, velocity and acceleration of the noisy coordinate, or of all coordinates together.
     transformation : Transformation
         (6) or (8), or a `DisturbanceObserver`.
@@ -69,7 +68,7 @@ class Controller:
     10.0
     """
 
-    signal_filter: Filter | JointKalman
+    signal_filter: Filter
     transformation: Transformation
     kinematics: KinematicDesign
     model: Plant | Mechanism
@@ -174,10 +173,6 @@ def simulate(
     """
     if not isinstance(controller.model, Plant):
         raise InputError("the controller's model is a Mechanism; drive one with simulate_mechanism")
-    if isinstance(controller.signal_filter, JointKalman):
-        raise InputError(
-            "the controller's filter is a JointKalman; use ExtendedKalman, or simulate_mechanism"
-        )
     shape = trajectory.position.shape
     noise = require_noise(noise, shape)[None]
     require_number("grid", grid)
@@ -228,26 +223,17 @@ def response_gain(plant: Plant, model: Plant) -> float:
 
 @checked
 def packed_filters(controllers: list[Controller]) -> tuple:
-    """Filters of coordinates side by side, each array with a row for every one (of a `JointKalman` one row), and their models."""
-    first, model = controllers[0].signal_filter, controllers[0].model
-    if isinstance(first, JointKalman):
-        return _side_by_side([first]), (UNIT_MASS.compiled[0], UNIT_MASS.parameters), first.model.compiled
-    return _side_by_side([each.signal_filter for each in controllers]), model_of(first), model.compiled
-
-
-def _side_by_side(filters) -> Packed:
-    packed = [each.packed() for each in filters]
-    options, process, noise, work = (
-        np.array(rows) for rows in zip(*(each[1:] for each in packed), strict=True)
-    )
-    return Packed(packed[0].kind, options, process, noise, work)
+    """Filters of coordinates side by side, each array with a row for every one, and their model."""
+    packed = [each.signal_filter.packed() for each in controllers]
+    rows = (np.array(each) for each in zip(*(one[1:] for one in packed), strict=True))
+    return Packed(packed[0].kind, *rows), model_of(controllers[0].signal_filter)
 
 
 @checked
 def fixed_point_law(controllers: list[Controller], force_limits: np.ndarray, lost: str) -> Law:
     """What the loop takes of the controllers, beside filters and model."""
     first = controllers[0].signal_filter
-    predicts = isinstance(first, UnscentedKalman | ExtendedKalman | JointKalman)
+    predicts = isinstance(first, UnscentedKalman | ExtendedKalman)
     loss = HOLD if require_choice("lost", lost, LOSSES) == "hold" else SKIP if predicts else EXTEND
     return Law(
         loss,

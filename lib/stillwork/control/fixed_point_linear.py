@@ -12,7 +12,6 @@ from stillwork.base.validation import by_value, check_fields, checked, user_call
 from stillwork.control.adaptation_loop import INTEGRATIONS
 from stillwork.control.fixed_point import Controller
 from stillwork.control.fixed_point_mechanism import require_alike
-from stillwork.control.joint_kalman import JointKalman
 from stillwork.control.mechanism import Mechanism
 from stillwork.control.transformation import DisturbanceObserver
 from stillwork.estimation.coordinate_filters import (
@@ -270,10 +269,6 @@ def linear_loop(
     controller = controllers[0]
     if isinstance(controller.transformation, DisturbanceObserver):
         raise InputError("controller uses a DisturbanceObserver; the linear loop exists for (6) and (8)")
-    if isinstance(controller.signal_filter, JointKalman):
-        raise InputError(
-            "controller filters by a JointKalman; the linear loop is written for filters of one coordinate"
-        )
     place, speed = (
         require_array(name, np.atleast_1d(values), shape=(count,))
         for name, values in (("position", position), ("velocity", velocity))

@@ -19,7 +19,6 @@ from stillwork.control.controlled_run import (
     require_noise,
 )
 from stillwork.control.fixed_point import Controller, fixed_point_law, packed_filters, warn_long_steps
-from stillwork.control.joint_kalman import JointKalman
 from stillwork.control.mechanism import Mechanism, iteration_radius, response_gains
 from stillwork.control.trajectory import Trajectory
 from stillwork.control.transformation import ContractionWarning, warn_outside_contraction
@@ -48,7 +47,7 @@ def simulate_mechanism(
 
     Filter, (1) and the transformation work in each coordinate separately; the models couple them. A Kalman filter's
     plant is driven by its coordinate's deformed acceleration, which the approximate model commands: give the
-    filter `estimation.filtering.UNIT_MASS`. `JointKalman` filters all coordinates together, with the forces.
+    filter `estimation.filtering.UNIT_MASS`.
 
     Parameters
     ----------
@@ -122,10 +121,6 @@ def simulate_mechanism(
         raise InputError(
             "the controller's model is a Plant; give it a Mechanism, or drive the plant with simulate"
         )
-    if isinstance(controller.signal_filter, JointKalman):
-        believed = controller.signal_filter.model.coordinates
-        if believed != count:
-            raise InputError(f"the filter's model has {believed} coordinates; give one of {count}")
     start = joint_start(trajectories, count, start)
     shape = count, len(trajectories[0].position)
     for each in controllers:
@@ -203,7 +198,7 @@ OF_COORDINATE = (
 
 
 def _alike_filters(one, other) -> bool:
-    if isinstance(one, JointKalman) or type(one) is not type(other):
+    if type(one) is not type(other):
         return one == other
     return (
         replace(one, **{name: getattr(other, name) for name in OF_COORDINATE if hasattr(one, name)}) == other

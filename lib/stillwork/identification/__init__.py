@@ -10,6 +10,6 @@ __all__, __getattr__, __dir__ = lazy_exports(
         "machine": ("build_machine",),
         "machine_files": ("load_machine",),
         "modal_fit": ("fit_modes", "identify_modes"),
-        "regressors": ("coloured_noise_bound", "fir_regressors"),
+        "regressors": ("fir_regressors",),
     },
 )

@@ -4,14 +4,11 @@ from typing import Annotated
 
 import numpy as np
 
-from stillwork.base.bounds import Count, Fraction, Natural, NonNegative, Vector, within
+from stillwork.base.bounds import Count, Fraction, NonNegative, Vector, within
 from stillwork.base.checks import (
-    InputError,
     require_memory,
-    require_samples,
 )
 from stillwork.base.validation import checked
-from stillwork.signals.spectra import Spectrum
 
 
 @checked
@@ -81,68 +78,3 @@ def noise_bound(deviation: NonNegative, unknowns: Count, forgetting: Fraction) -
     bound of `exponential_bound` grows as sqrt(m unknowns) and is then needlessly large.
     """
     return float(deviation * (1 / np.sqrt(1 - forgetting) + np.sqrt(unknowns)))
-
-
-@checked
-def coloured_noise_bound(
-    noise: Spectrum,
-    taps: Count,
-    forgetting: Fraction,
-    *,
-    coverage: Fraction = 0.975,
-    draws: Count = 200,
-    seed: Natural = 0,
-) -> float:
-    """Bound that the 2-norm of the weighted perturbation of FIR regressors by noise of known density rarely exceeds.
-
-    A quantile over realisations of the noise; `noise_bound` is for white noise. How far the norm scatters below it is
-    a matter of bandwidth times memory, 1 / (1 - forgetting) in s: from 80 on, such as 400 Hz and 0.2 s, 95 % of the
-    norms exceed 0.8 of the bound; a narrower band scatters more, however well its density is known.
-
-    Parameters
-    ----------
-    noise : Spectrum
-        Density of one channel, from 0 to half the sample rate, such as `estimate_spectrum` of a sensor at rest.
-    taps : int
-        Length of the impulse response.
-    forgetting : float
-        lambda, between 0 and 1.
-    coverage : float
-        Share of the realisations that stay below.
-    draws : int
-        Realisations.
-    seed : int
-        Seed of the random numbers.
-
-    Returns
-    -------
-    float
-        In the unit of the noise.
-
-    Raises
-    ------
-    InputError
-        For a spectrum of several channels, or a memory that takes too many samples.
-
-    Examples
-    --------
-    >>> rest = np.random.default_rng(1).standard_normal(64_000)  # m/s^2, of a sensor at rest, at 3.2 kHz
-    >>> spectrum = signals.estimate_spectrum(np.diff(rest), sample_rate=3200.0, resolution_hz=50.0)
-    >>> round(identification.coloured_noise_bound(spectrum, taps=4, forgetting=0.99, draws=50))  # m/s^2
-    22
-    """
-    if len(noise.density) != 1:
-        raise InputError(f"noise has {len(noise.density)} channels; give the spectrum of one")
-    rng = np.random.default_rng(seed)
-    rows = require_samples("forgetting", np.ceil(7 / (1 - forgetting)))  # older ones count for a thousandth
-    length = rows + taps - 1
-    lines = np.linspace(0, noise.frequencies_hz[-1], length // 2 + 1)
-    density = np.interp(lines, noise.frequencies_hz, noise.density[0])
-    scale = np.sqrt(density * noise.frequencies_hz[-1] * length / 2)
-    weights = exponential_weights(rows, forgetting)[::-1, None]
-    norms = np.empty(draws)
-    for draw in range(draws):
-        parts = rng.standard_normal((2, len(lines)))
-        signal = np.fft.irfft(scale * (parts[0] + 1j * parts[1]), length)
-        norms[draw] = np.linalg.norm(weights * np.lib.stride_tricks.sliding_window_view(signal, taps), 2)
-    return float(np.quantile(norms, coverage))
