@@ -15,6 +15,7 @@ from naive import adaptation
 from naive.isolators import (
     FINE,
     CompiledLoop,
+    Ends,
     TrueIsolator,
     band_rms,
     coloured,
@@ -46,6 +47,7 @@ from stillwork.machine.isolation_design import (
 )
 from stillwork.machine.machine_toml import new_isolator
 from stillwork.machine.path_fit import fit_path
+from stillwork.machine.settling import Learning
 from workbook import paths
 
 RATE = 1000.0
@@ -179,7 +181,15 @@ def test_a_step_has_left_every_regressor_when_the_filters_have_settled(highpasse
 
 
 def written(
-    algorithm="FeRls", precision="double", axes=2, limit=1e9, delay=0, smoothing=0.0, guard=0.0, **more
+    algorithm="FeRls",
+    precision="double",
+    axes=2,
+    limit=1e9,
+    delay=0,
+    smoothing=0.0,
+    guard=0.0,
+    growth=1.0,
+    **more,
 ):
     true = draw_isolator(np.random.default_rng(5), axes, RATE)
     loop = replace(loop_of(isolator_of(true), 50.0), path_delay=delay, smoothing=smoothing)
@@ -192,7 +202,9 @@ def written(
     return (
         loop,
         weights,
-        isolation_code(loop, settings, weights, guard * np.eye(regressors), limit, 0.05, "iso", precision),
+        isolation_code(
+            loop, settings, weights, guard * np.eye(regressors), growth, limit, 0.05, "iso", precision
+        ),
         true.floor.shape[1],
     )
 
@@ -343,6 +355,32 @@ def test_the_weights_stay_while_the_floor_is_too_loud_to_learn_from(tmp_path):
     _, _, early = run(library, floor[:, :last], platform[:, :last], adapting=True)
     _, _, late = run(library, floor[:, : last + 20], platform[:, : last + 20], adapting=True)
     assert np.array_equal(early, late) and not np.array_equal(before, early)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("growth", [1.05, 1.4])
+def test_a_floor_that_stays_louder_is_learnt_from_again_up_to_what_is_certified(tmp_path, growth):
+    """The level of the guard, sample by sample: it rises by e in five minutes while the floor is above it, and falls in fifty."""
+    loop, _, _, sensors = written()
+    count = round(loop.settling * RATE) + 120_000
+    rng = np.random.default_rng(8)
+    floor, platform = (1e-3 * rng.standard_normal((rows, count)) for rows in (sensors, 2))
+    psi = signal.sosfilt(loop.highpass, floor, axis=1)
+    rows = [psi]
+    for _ in range(POWERS):
+        rows.append(psi := signal.sosfilt(loop.integrator, psi, axis=1))
+    size = np.linalg.norm(np.vstack(rows), axis=0)
+    guard = float(4 / size.max())
+    wanted, level, levels = np.zeros(count, bool), 1.0, []
+    for k in range(count):
+        wanted[k] = guard * size[k] > level
+        step = np.exp(1 / (300 * RATE)) if wanted[k] else np.exp(-0.1 / (300 * RATE))
+        level = min(max(level * step, 1.0), growth)
+        levels.append(level)
+    assert max(levels) == growth if growth < 1.1 else 1.1 < max(levels) < growth
+    library = compiled(written(guard=guard, growth=growth)[2], tmp_path, DRIVER)
+    _, flags, _ = run(library, floor, platform, adapting=True)
+    assert np.array_equal(flags & 16 > 0, wanted)
 
 
 @pytest.mark.skipif(
@@ -553,8 +591,8 @@ def test_without_a_compiler_the_record_runs_through_the_same_loop(monkeypatch, a
     loop = replace(loop, beta=choose_beta(loop, floor))
     design = try_loop(loop, isolator, paths_through(isolator, RATE), floor, algorithm, 1.0, TRUE_PATH, 1e-3)
     guard = np.linalg.cholesky(np.linalg.inv(design.steady.correlation)).T / 40  # of some of the record
-    design = replace(design, guard=guard)
-    files = isolation_code(design.loop, design.settings, design.steady.weights, guard, 1e9, 0.05, "iso")
+    design = replace(design, guard=guard, growth=1.1)
+    files = isolation_code(design.loop, design.settings, design.steady.weights, guard, 1.1, 1e9, 0.05, "iso")
 
     def both(limit):
         return replay_module.replay(design, files, "iso", limit, 0.05, floor, (1.0, 100.0))
@@ -574,6 +612,53 @@ def test_without_a_compiler_the_record_runs_through_the_same_loop(monkeypatch, a
     assert not np.allclose(runs[0].motion[1], runs[0].motion[2], rtol=1e-3)  # it adapts
 
 
+def test_settling_is_where_ten_seconds_and_a_minute_are_a_tenth_above_what_remains():
+    seconds = np.arange(200) + 0.5
+    power = np.array([1 + 50 * np.exp(-seconds / 5), 1.05 + 50 * np.exp(-seconds / 10)])
+    found = Learning(power, np.ones_like(power), (1.0, 2.0), 500.0)
+    assert found.shown and found.window == 60 and found.excess == pytest.approx(0.05, abs=1e-4)
+    # Means of exponentials over ten seconds: half of 50 (1 - exp(-2)), and 50 (1 - exp(-1)); over the minute they are less.
+    first = 5 * np.log(50 * 0.5 * (1 - np.exp(-2)) / (1.1 * 1.05 - 1))
+    later = 10 * np.log(50 * (1 - np.exp(-1)) / (1.1 * 1.05 - 1.05))
+    assert found.settled == (np.ceil(first), np.ceil(later))
+    assert replace(found, expected=(70.0, 90.0)).settled == (70.0, 90.0)
+    short = replace(found, expected=(100.0, 150.0))
+    assert not short.shown and short.settled == (100.0, 150.0) and "too short" in short.sentence()
+
+
+@pytest.mark.slow
+def test_on_footfalls_zero_weights_settle_in_the_time_that_is_stated(tmp_path):
+    """By its spectra it learns in 6 s, and then is a sixth above frozen weights; judged at another end of the box than those tried."""
+    rng = np.random.default_rng(300)
+    nominal = draw_isolator(rng, 1, RATE)
+    (tmp_path / "m.toml").write_text(nominal.toml())
+    slab = paths.data("isolation", "slab_footfall/slab_vertical.csv")
+    isolate_file(str(tmp_path / "m.toml"), str(slab), str(tmp_path / "out"), RATE)
+    about = json.loads((tmp_path / "out" / "isolator.json").read_text())
+    assert about["replay"]["settling"]["shown"] and about["replay"]["settling"]["excess"] < 0.1
+    true, stated = moved(nominal, Ends(rng), 0.05), int(max(about["settling_s"]))
+    time, record = np.loadtxt(slab, delimiter=",", skiprows=1, unpack=True)
+    faded = (record - record.mean()) * signal.windows.tukey(len(record), 0.1)
+    fine = signal.resample(faded, round(time[-1] * FINE * RATE))
+    waits, second = 12, round(FINE * RATE)  # s, until the feedforward is whole; samples
+    floor = np.resize(fine, (waits + stated + 70) * second)[None]
+    weights, powers = 0 * np.array(about["weights"]), []
+    for adapting in (True, False):
+        loop, kept, motion = CompiledLoop(tmp_path / "out", "isolator"), [], []
+        loop.begin(weights)
+        for part in np.split(floor, floor.shape[1] // second, axis=1):
+            platform, now, _ = loop.run(true, part, len(kept), adapting)
+            kept.append(now)
+            motion.append(platform[0])
+        weights = np.mean(kept[-60:], axis=0)
+        lines = np.fft.rfft(np.concatenate(motion) * signal.windows.tukey(floor.shape[1], 0.05))
+        f = np.fft.rfftfreq(floor.shape[1], 1 / (FINE * RATE))
+        lines *= (f >= about["judged_hz"][0]) & (f <= about["judged_hz"][1])
+        powers.append(np.mean(np.fft.irfft(lines).reshape(-1, second) ** 2, axis=1))
+    after = slice(waits + stated, waits + stated + 60)
+    assert powers[0][after].sum() < 1.1 * powers[1][after].sum()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("times", [0.0, 1e5])
 def test_the_replay_is_right_where_a_hundredth_of_a_mode_remains(tmp_path, times):
@@ -589,7 +674,7 @@ def test_the_replay_is_right_where_a_hundredth_of_a_mode_remains(tmp_path, times
     loop = replace(loop, beta=choose_beta(loop, floor))
     design = try_loop(loop, isolator, paths_through(isolator, RATE), floor, "FeRls", 1.0, TRUE_PATH, 1e-4)
     files = isolation_code(
-        design.loop, design.settings, design.steady.weights, design.guard, 1e9, 0.05, "iso"
+        design.loop, design.settings, design.steady.weights, design.guard, 1.0, 1e9, 0.05, "iso"
     )
     found = replay_module.replay(design, files, "iso", np.inf, 0.05, floor, (1.0, 100.0))
     for name, text in files.items():

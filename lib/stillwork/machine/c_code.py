@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 from jaxtyping import Float64
 
-from stillwork.base.bounds import Count, NonNegative, one_of
+from stillwork.base.bounds import Count, NonNegative, one_of, within
 from stillwork.base.checks import (
     InputError,
     pluralise,
@@ -31,6 +31,9 @@ from stillwork.machine.single_precision import in_single_precision, kept_states
 TEMPLATES = Path(__file__).parent / "c99"
 PRECISIONS: dict[str, Any] = {"double": np.float64, "single": np.float32}
 PATIENCE_S = 0.01  # for which the loop of an isolator holds a missing sensor
+REARM_S = (
+    300.0  # in which a floor that stays louder raises the level of the guard by e: a gust of 30 s by a tenth
+)
 FADE = 1 / 8  # of the time until its filters have settled, in which its feedforward then rises
 
 
@@ -306,6 +309,7 @@ def isolation_code(
     settings: FeLms | FeRls,
     weights: Float64[np.ndarray, "axes regressors"],
     guard: Float64[np.ndarray, "regressors regressors"],
+    growth: Annotated[float, within(at_least=1.0)],
     limit: Annotated[float, _limit],
     pause_s: NonNegative,
     name: str,
@@ -325,7 +329,9 @@ def isolation_code(
     weights : ndarray, shape (axes, regressors)
         Initial weights.
     guard : ndarray, shape (regressors, regressors)
-        G, upper triangular: the weights are kept while |G psi| > 1, and for a pause after it.
+        G, upper triangular: the weights are kept while |G psi| is above its level, first 1, and for a pause after it.
+    growth : float
+        To where the level may rise: while |G psi| is above it, by e in `REARM_S`; else it falls a tenth as fast, to 1.
     limit : float
         Of each command, N.
     pause_s : float
@@ -383,7 +389,9 @@ def isolation_code(
         "smooth": repr(loop.smooth),
         "before": _rows(wide, before),
         "after": _rows(wide, after),
-        "level": _rows(wide, np.triu(guard)),
+        "guard_rows": _rows(wide, guard),
+        "highest": repr(growth**2),
+        **dict(zip(("rise", "fall"), map(repr, level_steps(loop.rate)), strict=True)),
         "modes": _lines("{" + _rows(wide, np.delete(mode, 3, axis=1)).strip() + "}," for mode in modes),
         **{
             each: _rows(wide, np.delete(getattr(loop, kind), 3, axis=1))
@@ -443,6 +451,12 @@ def waiting_samples(loop: FeedforwardLoop, pause_s: NonNegative) -> tuple[int, i
     """Samples until the floor sensors' filters have settled, in which the feedforward then rises, and of a pause."""
     start = round(max(loop.settling, pause_s) * loop.rate)
     return start, max(round(FADE * start), 1), round(pause_s * loop.rate)
+
+
+def level_steps(rate: float) -> tuple[float, float]:
+    """Factors by which the square of the guard's level rises and falls each sample."""
+    rise = 2 / (REARM_S * rate)
+    return float(np.exp(rise)), float(np.exp(-rise / 10))
 
 
 def _rows(write: "Numbers", matrix: np.ndarray) -> str:

@@ -29,11 +29,13 @@ from stillwork.machine.floor_checks import (
 from stillwork.machine.html_page import page, picture, table
 from stillwork.machine.isolation import FloorSpectra, Isolator
 from stillwork.machine.isolation_design import (
+    CREST,
     DRAWS,
     FASTER,
     HIGHEST_PHASE,
     HIGHEST_SENSITIVITY_DB,
     LIMIT,
+    LOWEST_HZ,
     PERIODS,
     SLOWEST,
     WITHIN,
@@ -46,7 +48,8 @@ from stillwork.machine.isolation_design import (
 from stillwork.machine.isolation_prediction import IsolationPrediction, predict
 from stillwork.machine.machine_toml import open_machine_toml
 from stillwork.machine.path_fit import PathFit, fit_path
-from stillwork.machine.replay import Replay, paint_replay, replay, replay_rows, require_kept
+from stillwork.machine.replay import Replay, paint_replay, replay_rows, require_kept
+from stillwork.machine.settling import settle_on_record
 from stillwork.signals.criteria import criterion_met, one_third_octave_velocity
 from stillwork.signals.datafiles import read_arrays, read_columns
 from stillwork.signals.densities import density_unit, read_densities, stated_density
@@ -148,14 +151,28 @@ def isolate_file(
         variance=variance,
         spread=spread,
     )
-    found = predict(design, around, spectra, correction)
     pause = PAUSES / (2 * np.pi * design.loop.shaping.highpass_hz)
-    weights = design.steady.weights
-    files = isolation_code(design.loop, design.settings, weights, design.guard, limit, pause, name, precision)
-    run = None
+    run, learning = None, None
+
+    def written(each: IsolationDesign) -> dict[str, str]:
+        kept = each.steady.weights, each.guard, each.growth
+        return isolation_code(each.loop, each.settings, *kept, limit, pause, name, precision)
+
     if spectra.record is not None:
-        run = replay(design, files, name, limit, pause, spectra, found.band_hz)
-    settling = [settling_time(each, spectra) for each in (design, *around)]
+        band = LOWEST_HZ, design.loop.shaping.lowpass_hz
+        given: dict = {
+            "name": name,
+            "limit": limit,
+            "pause_s": pause,
+            "band_hz": band,
+            "correction": correction,
+        }
+        design, around, run, learning = settle_on_record(
+            design, around, spectra, written, variance=variance, spread=spread, **given
+        )
+    found, files = predict(design, around, spectra, correction), written(design)
+    times = [settling_time(each, spectra) for each in (design, *around)]
+    settling = learning.settled if learning else (times[0], max(times))
     require_force(found, limit, 0.0 if run is None else run.noise)
     if run:
         require_kept(run, found)
@@ -165,24 +182,23 @@ def isolate_file(
         "floor": spectra.source,
         "rate_hz": rate,
     } | _record_of(design, found)
-    about["settling_s"] = [each if np.isfinite(each) else None for each in (settling[0], max(settling))]
-    if run:
-        about["replay"] = run.record()
+    about["settling_s"] = [each if np.isfinite(each) else None for each in settling]
+    if run and learning:
+        about["replay"] = run.record() | {"settling": learning.record()}
     files[f"{name}.json"] = json.dumps(about, indent=1, allow_nan=False) + "\n"
     write_folder(folder, files)  # before the page: what was computed is not lost with a picture
     facts = [
         *facts_of(design, found, spectra),
         [
             "settling from zero weights",
-            f"to {WITHIN:g} times the power of what remains: {settling[0]:.3g} s, in the box at most {max(settling):.3g} s",
+            f"to {WITHIN:g} times the power of what remains: {settling[0]:.3g} s, in the box at most {settling[1]:.3g} s; "
+            + (learning.sentence() if learning else "on a floor whose strength is even"),
         ],
         ["limit of each force", f"{limit:g} N" if np.isfinite(limit) else "none: give --limit"],
         *(["assumed", each] for each in (*notes, *floor_notes)),
         *(["check the floor", each] for each in seen),
     ]
-    answer = _answer(
-        f"{Path(machine).name} on {spectra.source}", design, found, spectra, spread, max(settling)
-    )
+    answer = _answer(f"{Path(machine).name} on {spectra.source}", design, found, spectra, spread, settling[1])
     given = {
         "answer": "".join(f"<p>{html.escape(line)}</p>" for line in answer),
         "budget": _budget_link(machine, floor, folder) if isolator.axes == isolator.sensors == 1 else "",
@@ -326,6 +342,11 @@ def facts_of(design: IsolationDesign, found: IsolationPrediction, spectra: Floor
         ],
         ["what sets the time constant", _slowed(design)],
         [
+            "weights are kept",
+            f"while slow motion is above {CREST:g} times its rms on this floor; where a floor stays louder, above up to "
+            f"{design.growth:.3g} times that",
+        ],
+        [
             "scatter of the weights",
             f"raises the power of what remains by {100 * design.variance:.2g} %",
         ],
@@ -349,7 +370,7 @@ def _slowed(design: IsolationDesign) -> str:
         )
     if FASTER * design.certificate.slow > LIMIT:
         return "slow motion through what is not known of the path: shorter with a smaller spread"
-    return "the scatter of the weights: shorter with a larger variance"
+    return "the scatter of the weights, expected or on the record itself: shorter with a larger variance"
 
 
 def _condition(spectra: FloorSpectra) -> list[list[str]]:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Complex128, Float64
 from scipy import linalg, optimize, signal
 
-from stillwork.base.bounds import Natural, Positive, one_of, within
+from stillwork.base.bounds import Natural, NonNegative, Positive, one_of, within
 from stillwork.base.checks import InputError, require_array
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.control.isolation_filters import FrequencyNotch, NoiseShaping
@@ -42,6 +42,7 @@ SLOWEST = 0.1  # of the mean update's eigenvalues, of FeRLS: a mode takes ten ti
 # Of `Mismatch.loop_gain` at CREST times the slow level's rms: chosen on four random isolators on a microseism, with paths in
 # their box, driven to where they break. None ran away at 2, and some at 4.
 LIMIT, CREST = 1.0, 3.0
+GROWTH = 1e3  # of the guard's level, at most
 WITHIN = 1.1  # power of the remaining motion, over that once settled, at which weights count as settled
 FASTER = 1.05  # between time constants that are tried
 PERIODS = 3.0  # of the band's lower end that a time constant holds for each regressor: half of it leaves 5 % more motion
@@ -178,8 +179,9 @@ class IsolationDesign:
     certificate: Certificate
     motion: float  # mean square of the remaining acceleration of all axes with it, (m/s^2)^2
     mismatch: Mismatch
-    # G: the weights are kept while |G psi| > 1, where slow motion is larger than the mismatch lets them follow
+    # G: the weights are kept while |G psi| is above its level, 1 at `CREST` times the rms of the floor they are designed for
     guard: Float64[np.ndarray, "regressors regressors"]
+    growth: float  # to where a floor that stays louder may raise the level: slow motion as large as the mismatch allows
 
     def __post_init__(self):
         check_fields(self)
@@ -195,8 +197,12 @@ def try_loop(
     variance: Positive,
     mismatch: Mismatch,
     step: Positive | None = None,
+    shortest: NonNegative = 0.0,
 ) -> IsolationDesign:
-    """A loop with the fastest adaptation that keeps the `variance` and tolerates the floor's slow motion, or with `step`."""
+    """A loop with the fastest adaptation that keeps the `variance` and tolerates the floor's slow motion, or with `step`.
+
+    Its time constant is `shortest` (s) or more.
+    """
     f, widths = floor.frequencies_hz, floor.widths_hz
     moving = moving_paths(loop, paths_of, f)
     responses = moving.seen
@@ -213,7 +219,7 @@ def try_loop(
     if step is None:
         moves = scatter(responses, steady, widths, floor.density, *noises, loop.rate, algorithm)
         added = _added_motion(responses, moves, floor, noises[0], loop.rate, inside, share)
-        slowest = PERIODS * len(steady.correlation) / loop.shaping.highpass_hz
+        slowest = max(shortest, PERIODS * len(steady.correlation) / loop.shaping.highpass_hz)
         while slowest < BEYOND_S and not (
             added(slowest) <= variance * motion and mismatch.loop_gain(level, slowest) <= LIMIT
         ):
@@ -229,6 +235,8 @@ def try_loop(
     else:
         settings = FeLms(step * (1 + EVEN), EVEN * power, path_delay=loop.path_delay)
     more = 0.0 if moves is None else added(time_constant)
+    certified = LIMIT / max(mismatch.loop_gain(1.0, time_constant), LIMIT / (GROWTH * level))
+    guarded = min(level, certified)
     return IsolationDesign(
         loop=loop,
         isolator=isolator,
@@ -244,8 +252,8 @@ def try_loop(
         ),
         motion=float(motion + more),
         mismatch=mismatch,
-        guard=np.linalg.cholesky(np.linalg.inv(steady.correlation)).T
-        * mismatch.loop_gain(1 / LIMIT, time_constant),
+        guard=np.linalg.cholesky(np.linalg.inv(steady.correlation)).T / guarded,
+        growth=float(certified / guarded),
     )
 
 
@@ -276,6 +284,28 @@ def _added_motion(
         )
 
     return added
+
+
+@checked
+def adapt_slower(
+    design: IsolationDesign,
+    around: list[IsolationDesign],
+    floor: FloorSpectra,
+    variance: Positive,
+    time_constant: Positive,
+    correction: Callable | None = None,
+) -> tuple[IsolationDesign, list[IsolationDesign]]:
+    """The same loop with a time constant (s) that is no shorter; a certified one stays certified."""
+    rate, algorithm = design.loop.rate, type(design.settings).__name__
+
+    def again(each: IsolationDesign, **more) -> IsolationDesign:
+        paths = paths_through(each.isolator, rate, correction)
+        return try_loop(
+            design.loop, each.isolator, paths, floor, algorithm, variance, design.mismatch, **more
+        )
+
+    slower = again(design, shortest=time_constant)
+    return slower, [again(each, step=slower.step) for each in around]
 
 
 @checked
@@ -418,14 +448,16 @@ def _certify(
     )
 
 
-def _perturbed(isolator: Isolator, spread: float, rng: np.random.Generator) -> Isolator:
-    """An isolator of the box: every mode's mass, stiffness and damping and the actuators' pole, each by itself."""
+def perturbed(isolator: Isolator, spread: float, draw: Callable[[int], np.ndarray]) -> Isolator:
+    """An isolator of the box: every mode's mass, stiffness and damping and the actuators' pole, each by itself.
+
+    `draw` gives as many numbers, from -1 to 1.
+    """
     omega, shapes = isolator.modes
     back = np.linalg.inv(shapes)
     n = len(omega)
     mass, stiffness, damping, pole = (
-        1 + share * spread * rng.uniform(-1, 1, size)
-        for share, size in zip(SPREADS.values(), (n, n, n, 1), strict=True)
+        1 + share * spread * draw(size) for share, size in zip(SPREADS.values(), (n, n, n, 1), strict=True)
     )
     damped = np.diag(shapes.T @ isolator.damping @ shapes)
     matrices = [
@@ -511,7 +543,7 @@ def design_isolation(
     own = paths_through(isolator, rate, correction)
     first = _first_loop(isolator, estimate, own, floor, rate, band_hz, notches)
     rng = np.random.default_rng(seed)
-    box = [_perturbed(isolator, spread, rng) for _ in range(DRAWS)]
+    box = [perturbed(isolator, spread, lambda count: rng.uniform(-1, 1, count)) for _ in range(DRAWS)]
     paths = [paths_through(each, rate, correction) for each in box]
     tried = [
         try_loop(loop, isolator, own, floor, algorithm, variance, mismatch)

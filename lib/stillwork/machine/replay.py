@@ -17,7 +17,7 @@ from stillwork.base.checks import InputError
 from stillwork.base.kernels import inlined_kernel, kernel
 from stillwork.estimation.adaptive import FeRls, felms_update, ferls_step
 from stillwork.machine import pictures
-from stillwork.machine.c_code import TEMPLATES, waiting_samples
+from stillwork.machine.c_code import TEMPLATES, level_steps, waiting_samples
 from stillwork.machine.isolation import POWERS, FloorSpectra, Isolator
 from stillwork.machine.isolation_design import IsolationDesign
 from stillwork.machine.isolation_prediction import IsolationPrediction, record_grid, through
@@ -43,6 +43,12 @@ class Replay(NamedTuple):
     noise: np.ndarray  # (axes,): largest command by the sensors' noise alone, with frozen weights, N
 
     @property
+    def excess(self) -> float:
+        """Share by which adapting weights add to the power that frozen ones leave."""
+        frozen, adapting = np.sum(self.motion[1:] ** 2, axis=(1, 2))
+        return float(adapting / frozen - 1)
+
+    @property
     def minutes(self) -> np.ndarray:
         """Rms of each minute, m/s^2, (3, axes, minutes)."""
         parts = max(1, round(self.motion.shape[2] / MINUTE_S))
@@ -61,6 +67,76 @@ class Replay(NamedTuple):
         }
 
 
+class Course:
+    """What the sensors of an isolator read while a record runs round and round, and what its commands make of it.
+
+    Before the time that counts, the filters settle and the feedforward rises; motion fades before it and after it, else slow
+    motion leaks into the band. Sensor noise is white.
+    """
+
+    def __init__(
+        self,
+        design: IsolationDesign,
+        isolator: Isolator,
+        floor: FloorSpectra,
+        pause_s: float,
+        band_hz: tuple[float, float],
+        *,
+        seconds: float = 0.0,
+        start_s: float = 0.0,
+        lines: int = LINES,
+        seed: int = 0,
+    ):
+        """Of the whole record, or of as many `seconds` from `start_s` on."""
+        rate = design.loop.rate
+        record = np.asarray(floor.record)
+        once, self.edge = round(record.shape[1] / floor.record_hz * rate), round(EDGE_S * rate)
+        self.rate, self.isolator, self.count = rate, isolator, round(seconds * rate) or once
+        self.rises = sum(waiting_samples(design.loop, pause_s))  # samples until the feedforward is whole
+        self.lead = self.rises + self.edge
+        self.samples = self.lead + self.count + self.edge
+        order = (np.arange(-self.lead, self.count + self.edge) + round(start_s * rate)) % once
+        self.grid = record_grid(design, floor, lines)
+        primary, self.held, _ = isolator.paths(self.grid, 1 / rate)
+        read = signal.resample(record, once, axis=1)
+        moved = through(np.fft.rfftfreq(once, 1 / rate), np.fft.rfft(read, axis=1), self.grid, primary)
+        read, self.moved = read[:, order], np.fft.irfft(moved, once, axis=1)[:, order]
+        white = np.random.default_rng(seed).standard_normal((len(read) + len(self.moved), len(order)))
+        levels = np.repeat([isolator.floor_noise, isolator.platform_noise], [len(read), len(self.moved)])
+        noise = np.sqrt(rate / 2) * levels[:, None] * white
+        self.quiet = tuple(np.ascontiguousarray(each.T) for each in np.split(noise, [len(read)]))
+        self.read = (
+            np.ascontiguousarray(read.T) + self.quiet[0],
+            np.ascontiguousarray(self.moved.T) + self.quiet[1],
+        )
+        self.f = np.fft.rfftfreq(len(order), 1 / rate)
+        self.inside = (self.f >= band_hz[0]) & (self.f <= band_hz[1])
+        self.rise = np.sin(np.linspace(0, np.pi / 2, self.edge)) ** 2
+
+    @property
+    def counted(self) -> slice:
+        """Its samples that count."""
+        return slice(self.lead, self.lead + self.count)
+
+    def left(self, forces: np.ndarray | None = None) -> np.ndarray:
+        """Rms of each second in the band with `forces` (samples, axes), or without control, (axes, seconds)."""
+        motion = self.moved
+        if forces is not None:
+            if not np.isfinite(forces).all():
+                raise InputError(
+                    "not to be switched on: on the record itself the weights run away; adapt more slowly"
+                )
+            # From rest to rest, with the rise before it and a fade after: else its lines had a step of the commands.
+            faded = forces.copy()
+            faded[self.lead + self.count :] *= self.rise[::-1, None]
+            pushed = through(self.f, np.fft.rfft(faded.T, axis=1), self.grid, self.held)
+            motion = motion + np.fft.irfft(pushed, motion.shape[1], axis=1)
+        fade = np.concatenate([np.zeros(self.rises), self.rise, np.ones(self.count), self.rise[::-1]])
+        lines = np.fft.rfft(motion * fade, axis=1) * self.inside
+        banded = np.fft.irfft(lines, motion.shape[1], axis=1)[:, self.counted]
+        return np.sqrt(_seconds(banded**2, self.rate, np.mean))
+
+
 def replay(
     design: IsolationDesign,
     files: dict[str, str],
@@ -73,54 +149,19 @@ def replay(
 ) -> Replay:
     """Run the record of `floor` through the C in `files`, compiled where a compiler is, else through its kernel.
 
-    The end of the record runs first, in which the filters settle and the feedforward rises. Sensor noise is white.
+    The end of the record runs first, in which the filters settle and the feedforward rises.
     """
-    rate, isolator = design.loop.rate, design.isolator
-    record = np.asarray(floor.record)
-    count, edge = round(record.shape[1] / floor.record_hz * rate), round(EDGE_S * rate)
-    rises = sum(waiting_samples(design.loop, pause_s))  # samples until the feedforward is whole
-    lead = rises + edge
-    order = np.arange(-lead, count + edge) % count
-    grid = record_grid(design, floor, LINES)
-    primary, held, _ = isolator.paths(grid, 1 / rate)
-    read = signal.resample(record, count, axis=1)
-    lines = through(np.fft.rfftfreq(count, 1 / rate), np.fft.rfft(read, axis=1), grid, primary)
-    read, moved = read[:, order], np.fft.irfft(lines, count, axis=1)[:, order]
-    white = np.random.default_rng(seed).standard_normal((len(read) + len(moved), len(order)))
-    levels = np.repeat([isolator.floor_noise, isolator.platform_noise], [len(read), len(moved)])
-    noise = np.sqrt(rate / 2) * levels[:, None] * white
-    quiet, still = (np.ascontiguousarray(each.T) for each in np.split(noise, [len(read)]))
-    floors, seen = np.ascontiguousarray(read.T) + quiet, np.ascontiguousarray(moved.T) + still
-    f = np.fft.rfftfreq(len(order), 1 / rate)
-    inside = (f >= band_hz[0]) & (f <= band_hz[1])
-
-    rise = np.sin(np.linspace(0, np.pi / 2, edge)) ** 2
-    fade = np.concatenate(
-        [np.zeros(rises), rise, np.ones(count), rise[::-1]]
-    )  # else slow motion leaks into the band
-
-    def left(motion):
-        lines = np.fft.rfft(motion * fade, axis=1) * inside
-        banded = np.fft.irfft(lines, len(order), axis=1)[:, lead : lead + count]
-        return np.sqrt(_seconds(banded**2, rate, np.mean))
-
-    motions, peaks, saturated = [left(moved)], [], []
-    counted = slice(lead, lead + count)
-    with _loop(design, files, name, pause_s) as (run, ran):
-        for begins in (len(order), 0):
-            forces, flags = run(floors, seen, limit, begins)
-            if not np.isfinite(forces).all():
-                raise InputError(
-                    "not to be switched on: on the record itself the weights run away; adapt more slowly"
-                )
-            peaks.append(_seconds(np.abs(forces[counted].T), rate, np.max))
+    course = Course(design, design.isolator, floor, pause_s, band_hz, seed=seed)
+    motions, peaks, saturated = [course.left()], [], []
+    weights, counted = design.steady.weights, course.counted
+    with controller(design, files, name, pause_s) as (run, ran):
+        for begins in (course.samples, 0):
+            forces, flags, _ = run(design.isolator, weights, *course.read, limit, begins)
+            motions.append(course.left(forces))
+            peaks.append(_seconds(np.abs(forces[counted].T), course.rate, np.max))
             saturated.append(int(np.count_nonzero(flags[counted] & SATURATED)))
-            # From rest to rest, with the rise before it and a fade after: else its lines had a step of the commands.
-            forces[lead + count :] *= rise[::-1, None]
-            pushed = through(f, np.fft.rfft(forces.T, axis=1), grid, held)
-            motions.append(left(moved + np.fft.irfft(pushed, len(order), axis=1)))
         kept = float(np.mean(flags[counted] & LOUD > 0))  # of the floor's motion alone, adapting or not
-        alone, _ = run(quiet, still, np.inf, len(order))
+        alone, _, _ = run(design.isolator, weights, *course.quiet, np.inf, course.samples)
     largest = np.abs(alone[counted]).max(axis=0)
     return Replay(ran, np.array(motions), np.array(peaks), (saturated[0], saturated[1]), kept, largest)
 
@@ -152,30 +193,43 @@ def plant_matrices(isolator: Isolator, sample_time: float):
 
 
 @contextmanager
-def _loop(design: IsolationDesign, files: dict[str, str], name: str, pause_s: float):
-    """What runs sensors through the loop, compiled once where a compiler is, and its name.
+def controller(design: IsolationDesign, files: dict[str, str], name: str, pause_s: float):
+    """What runs sensors through the loop around an isolator, compiled once where a compiler is, and its name.
 
-    It gives commands (samples, axes) and flags of each sample; weights adapt from the sample `begins` on.
+    It gives commands (samples, axes), flags of each sample, and the mean of the weights from the sample `averaged` on; weights
+    adapt from the sample `begins` on.
     """
-    *plant, late = plant_matrices(design.isolator, design.loop.sample_time)
     compiler = next(filter(None, map(shutil.which, COMPILERS)), None)
     with TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         compiled = _compiled(compiler, files, name, Path(folder)) if compiler else None
 
-        def run(floors, seen, limit, begins):
+        def run(isolator, weights, floors, seen, limit, begins, averaged=0):
+            *plant, late = plant_matrices(isolator, design.loop.sample_time)
             forces, flags = np.zeros_like(seen), np.zeros(len(seen), np.uint8)
             if compiled is None:
                 spans = (*waiting_samples(design.loop, pause_s), late, begins, design.loop.path_delay)
-                _run_kernel(design, limit, spans, floors, seen, tuple(plant), forces, flags)
-                return forces, flags
+                mean = _run_kernel(
+                    design,
+                    weights.copy(),
+                    limit,
+                    (*spans, averaged),
+                    floors,
+                    seen,
+                    tuple(plant),
+                    forces,
+                    flags,
+                )
+                return forces, flags, mean
             states = len(plant[0])
             work = np.zeros(states), np.zeros(states)
-            whole = (ctypes.c_long(len(seen)), states, ctypes.c_long(late), ctypes.c_long(begins))
+            whole = (ctypes.c_long(len(seen)), states, *map(ctypes.c_long, (late, begins, averaged)))
+            mean = np.array(weights, dtype=float)
             arrays = [
-                each.ctypes.data_as(ctypes.c_void_p) for each in (*plant, floors, seen, forces, flags, *work)
+                each.ctypes.data_as(ctypes.c_void_p)
+                for each in (mean, *plant, floors, seen, forces, flags, *work)
             ]
-            compiled(*whole, *arrays[:6], ctypes.c_double(limit), *arrays[6:])
-            return forces, flags
+            compiled(*whole, *arrays[:7], ctypes.c_double(limit), *arrays[7:])
+            return forces, flags, mean
 
         found = "the written C, compiled" if compiled else "its kernel in Python, as no C compiler was found"
         yield run, found
@@ -195,8 +249,8 @@ def _compiled(compiler: str, files: dict[str, str], name: str, folder: Path):
     return ctypes.CDLL(str(folder / "replay.so")).replay
 
 
-def _run_kernel(design, limit, spans, floors, seen, plant, forces, flags) -> None:
-    """The loop of the C by the toolbox's filters and updates, into `forces` and `flags`."""
+def _run_kernel(design, weights, limit, spans, floors, seen, plant, forces, flags) -> np.ndarray:
+    """The loop of the C by the toolbox's filters and updates, into `forces` and `flags`; the mean of the weights."""
     loop, settings = design.loop, design.settings
     rows = [signal.sosfilt(loop.highpass, floors, axis=0)]
     rows.append(signal.sosfilt(loop.noise_shaping, rows[0], axis=0))
@@ -205,7 +259,6 @@ def _run_kernel(design, limit, spans, floors, seen, plant, forces, flags) -> Non
         for _ in range(POWERS):
             stack.append(signal.sosfilt(loop.integrator, stack[-1], axis=0))
     psi, filtered = (np.ascontiguousarray(np.hstack(stack)) for stack in stacks)
-    weights = design.steady.weights.copy()
     recursive = isinstance(settings, FeRls)
     recursion = (
         FeRls(settings.initial_covariance, settings.forgetting, settings.growth_limit, form="UD")
@@ -217,12 +270,14 @@ def _run_kernel(design, limit, spans, floors, seen, plant, forces, flags) -> Non
         if recursive
         else (settings.step_size, settings.regularisation, settings.trace_copies(len(weights)))
     )
-    guard = np.triu(design.guard), loop.smooth
+    guard = design.guard, design.growth**2, *level_steps(loop.rate), loop.smooth
     filters = (loop.noise_shaping, loop.skyhook, *(np.ascontiguousarray(each) for each in loop.error))
     started = recursion.start(psi.shape[1])
+    mean = np.zeros_like(weights)
     _step_through(
-        weights, started, *started[-2:], recursive, rates, psi, filtered, seen, plant, filters, guard, spans, float(limit), forces, flags
+        weights, mean, started, *started[-2:], recursive, rates, psi, filtered, seen, plant, filters, guard, spans, float(limit), forces, flags
     )  # fmt: skip
+    return mean
 
 
 @inlined_kernel
@@ -237,6 +292,7 @@ def _section(coefficients, memory, value):
 @kernel
 def _step_through(
     weights,
+    mean,
     recursion,
     inner,
     other,
@@ -256,9 +312,9 @@ def _step_through(
     """Every sample: sensors, filtered error and skyhook, command and its limit, update, plant."""
     a, now, before_it, c = plant
     shaping, skyhook, before, modes, after = filters
-    start, fade, pause, late, begins, path_delay = spans
+    start, fade, pause, late, begins, path_delay, averaged = spans
     matrix, form, forgetting, levels, allowance, gain, _, _ = recursion
-    axes, states, (certified, smooth) = seen.shape[1], len(a), guard
+    axes, states, level, (calm, highest, rise, fall, smooth) = seen.shape[1], len(a), 1.0, guard
     whole = weights.copy()  # of the command
     x, damped, error, turned = np.zeros(states), np.zeros(axes), np.zeros(axes), np.zeros(axes)
     skies, errors = np.zeros((axes, len(skyhook), 2)), np.zeros((axes, modes.shape[1], 2))
@@ -277,7 +333,8 @@ def _step_through(
         set_product(after, turned, error)
         share = 1 - rest / fade if rest < fade else 0.0
         share = share * share * (3 - 2 * share)
-        loud = np.sum((certified @ psi[k]) ** 2) > 1
+        loud = np.sum((calm @ psi[k]) ** 2) > level
+        level = max(1.0, min(highest, level * (rise if loud else fall)))
         for i in range(axes):
             whole[i] += smooth * (weights[i] - whole[i])
             forces[k, i] = share * np.sum(whole[i] * psi[k]) - damped[i]
@@ -305,6 +362,8 @@ def _step_through(
             )  # fmt: skip
         else:
             felms_update(weights, regressor, error, rates[0], rates[1], rates[2])
+        if k >= averaged:
+            mean += weights / (len(seen) - averaged)
         following = a @ x
         if k >= late:
             following += now @ forces[k - late]

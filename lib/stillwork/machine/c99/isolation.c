@@ -59,6 +59,7 @@ $weights    };
         }
     }
     s->adapting = 1;
+    s->level = 1.0;
     s->rest = start_samples + fade_samples;
     s->wait = s->rest + pause_samples;
 }
@@ -110,12 +111,14 @@ r|        }
     return usable;
 }
 
-/* Whether the floor's slow motion is above what the adaptation was certified for. */
-static bool loud(const double psi[N])
+/* Whether the floor's slow motion is above its level, which a floor that stays louder raises, as far as the adaptation is
+   certified, and a calm one lowers again. */
+static bool loud(${name}_state *s, const double psi[N])
 {
-    static const double level[N][N] = {
-$level    };
+    static const double guard[N][N] = {
+$guard_rows    };
     double square = 0.0;
+    bool above;
     int i;
     int j;
 
@@ -123,11 +126,15 @@ $level    };
         double sum = 0.0;
 
         for (j = i; j < N; j++) {
-            sum += level[i][j] * psi[j];
+            sum += guard[i][j] * psi[j];
         }
         square += sum * sum;
     }
-    return !(square <= 1.0);
+    above = !(square <= s->level);
+    s->level *= above ? $rise : $fall;
+    s->level = (s->level > $highest) ? $highest : s->level;
+    s->level = (s->level < 1.0) ? 1.0 : s->level;
+    return above;
 }
 
 /* Keep what is there; false: a sensor is missing, and its last value stands for it. */
@@ -251,7 +258,7 @@ $after    };
         }
         c[a] = (${name}_real)sent[a];
     }
-    if (loud(psi)) {
+    if (loud(s, psi)) {
         flags |= ${guard}_LOUD;
     }
     if ((flags & (${guard}_SATURATED | ${guard}_LOUD)) != 0u) {

@@ -23,7 +23,7 @@ extern "C" {
 #define ${guard}_HELD 2u      /* a sensor is missing, not a number: the last value stands for it */
 #define ${guard}_FROZEN 4u    /* the weights did not adapt */
 #define ${guard}_INVALID 8u   /* missing for too long, or an adaptation that could not be used */
-#define ${guard}_LOUD 16u     /* the floor's slow motion is above what the adaptation was certified for */
+#define ${guard}_LOUD 16u     /* the floor's slow motion is above its level: the weights are kept */
 
 typedef ${name}_adapt_real ${name}_real;
 
@@ -35,6 +35,7 @@ typedef struct {
     int rest;                  /* samples until the feedforward is whole: none before the filters have settled */
     int wait;                  /* samples until they adapt, at the start or again after the limit or the guard acted */
     int missing;               /* samples in a row */
+    double level;              /* of slow motion, squared: 1 on the floor of the design */
     ${name}_real floor[$sensors];  /* the last that were there */
     ${name}_real platform[$axes];
     double skyhook[$skyhook_sections][2][$axes];

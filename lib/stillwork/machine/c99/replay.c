@@ -3,10 +3,11 @@
 #ifdef _WIN32
 __declspec(dllexport)
 #endif
-/* A record through the loop around x+ = a x + now u(k - late) + before u(k - late - 1), of the acceleration seen + c x. */
-void replay(long samples, int states, long late, long begins, const double *a, const double *now, const double *before,
-            const double *c, const double *floor, const double *seen, double limit, double *forces,
-            unsigned char *flags, double *x, double *next)
+/* A record through the loop, which starts with these weights, around x+ = a x + now u(k - late) + before u(k - late - 1), of the
+   acceleration seen + c x. The weights become the mean of those from the sample `averaged` on. */
+void replay(long samples, int states, long late, long begins, long averaged, double *weights, const double *a,
+            const double *now, const double *before, const double *c, const double *floor, const double *seen, double limit,
+            double *forces, unsigned char *flags, double *x, double *next)
 {
     enum { A = ${guard}_AXES, S = ${guard}_SENSORS };
     static ${name}_state s;
@@ -14,6 +15,11 @@ void replay(long samples, int states, long late, long begins, const double *a, c
     ${name}_start(&s);
     for (int i = 0; i < A; i++)
         s.limit[i] = (${name}_real)limit;
+    for (int i = 0; i < A * ${guard}_REGRESSORS; i++) {
+        s.weights[i / ${guard}_REGRESSORS][i % ${guard}_REGRESSORS] = weights[i];
+        s.adapt.weights[i / ${guard}_REGRESSORS][i % ${guard}_REGRESSORS] = (${name}_real)weights[i];
+        weights[i] = (averaged < samples) ? 0.0 : weights[i];
+    }
     for (long k = 0; k < samples; k++) {
         ${name}_real read_floor[S], read_platform[A], command[A];
 
@@ -30,6 +36,8 @@ void replay(long samples, int states, long late, long begins, const double *a, c
         flags[k] = (unsigned char)${name}_step(&s, read_floor, read_platform, command);
         for (int i = 0; i < A; i++)
             forces[(k * A) + i] = (double)command[i];
+        for (int i = 0; (k >= averaged) && (i < A * ${guard}_REGRESSORS); i++)
+            weights[i] += (double)s.adapt.weights[i / ${guard}_REGRESSORS][i % ${guard}_REGRESSORS] / (double)(samples - averaged);
         for (int i = 0; i < states; i++) {
             next[i] = 0.0;
             for (int j = 0; j < states; j++)
