@@ -570,20 +570,21 @@ def _worst(box, ratio, late, least, starts, first):
                 for k in range(modes):
                     others = whole - factors[k] * parts[k, taken[k]]
                     turn = gain * late[row, when]
+                    beside, base = a + b * turn * others, c + d * turn * others
+                    b_turned, d_turned = b * turn, d * turn
                     if sizes[k] > 1:
-                        most = -1.0
+                        most, least_under = -1.0, 1.0
+                        b_own, d_own = factors[k] * b_turned, factors[k] * d_turned
                         for j in range(sizes[k]):
-                            p = turn * (others + factors[k] * parts[k, j])
-                            under = c + d * p
-                            over = under + (a + b * p)
-                            size = (over.real**2 + over.imag**2) / (under.real**2 + under.imag**2)
-                            if size > most:
-                                most, taken[k] = size, j
+                            under = base + d_own * parts[k, j]
+                            over = under + (beside + b_own * parts[k, j])
+                            above, size = over.real**2 + over.imag**2, under.real**2 + under.imag**2
+                            if above * least_under > most * size:
+                                most, least_under, taken[k] = above, size, j
                     own = parts[k, taken[k]]
                     if high[k] > low[k]:
-                        base = turn * others
                         factors[k] = largest_along(
-                            a + b * base, b * turn * own, c + d * base, d * turn * own, low[k], high[k]
+                            beside, b_turned * own, base, d_turned * own, low[k], high[k]
                         )
                     whole = others + factors[k] * own
                 most = -1.0
