@@ -31,7 +31,7 @@ from workbook.report import (
     published_quantity,
     tally,
 )
-from workbook.site import picture, reference, search
+from workbook.site import reference, search
 from workbook.site.links import broken_links
 from workbook.site.mathematics import markdown
 from workbook.site.metadata import about, address, binder, papers, project
@@ -270,7 +270,6 @@ def _topic(name: str, paper: dict, claims: list[Claim], pages: list[NotebookPage
         "name": name,
         **paper,
         "counts": Counter(map(column, mine)),
-        "picture": picture.draw(mine),
         "curves": drawn,
         "joint": read_settings(name),
         "headline": said_of(paper["headline"], mine),
@@ -278,7 +277,6 @@ def _topic(name: str, paper: dict, claims: list[Claim], pages: list[NotebookPage
         "rests": [entry for entry in paper["rests"] if any(claim.entry.id == entry for claim in mine)],
         "hero": next(_named([paper["hero"]], pages), None),
         "limits": list(_named(paper["limits"], pages)),
-        "orderings": Counter(column(claim) for claim in mine if claim.entry.kind == "ordering"),
         "pages": [page for page in pages if page.topic == name],
     }
 
