@@ -9,7 +9,9 @@ from scipy import signal
 
 from motion.test_decoupled import HZ, accelerance, machine
 from shared.compiled import STRICT, call, pointer
+from stillwork.base.checks import InputError
 from stillwork.machine.design import design_file
+from stillwork.machine.retest import retest_file
 
 RATE = 5e3
 BOX = "frequency=0.02,gain=0.05,none"
@@ -92,9 +94,78 @@ def test_the_true_machine_is_stable_and_keeps_its_peaks(tmp_path, untuned, n, se
     assert one == pytest.approx(other, rel=1e-3)
 
 
+@pytest.mark.slow
+def test_axes_that_act_on_each_other_are_slowed_until_the_true_machine_holds(tmp_path, untuned):
+    """Two modes that only couple the axes, which no axis alone shows."""
+    omega, ratio, out, into = machine(2, 1)
+    into = into @ np.linalg.inv(out[:, :2] @ into[:2])
+    omega = np.append(omega, 2 * np.pi * np.array([140.0, 150.0]))
+    out, into = np.hstack([out, 30.0 * np.eye(2)]), np.vstack([into, np.eye(2)[::-1]])
+    said = design(tmp_path, accelerance(omega, ratio, out, into))
+    assert any("slowed from" in line for line in said)
+    radius, peaks = closed_loop(sampled(omega, ratio, out, into), tmp_path / "machine")
+    assert radius < 1 and peaks.max() < 6.05
+
+
+@pytest.mark.slow
+def test_a_geometry_is_taken_with_more_sensors_than_axes(tmp_path, untuned):
+    """T_y of three sensors by their places, T_u computed; by the true machine's poles."""
+    omega, ratio, out, into = machine(2, 3)
+    out = np.vstack([out, [[0.5, 0.5]] @ out])
+    sensing = np.linalg.pinv(out[:, :2])
+    np.savez(
+        tmp_path / "plant.npz", **{"frequency (Hz)": HZ, "h (m/s^2/N)": accelerance(omega, ratio, out, into)}
+    )
+    text = f'response = "plant.npz"\n[decoupling]\naxes = ["z", "tilt"]\nsensing = {sensing.tolist()}\n'
+    (tmp_path / "my.toml").write_text(text + 'units = [["m", "N"], ["rad", "N m"]]\n')
+    said = design_file(str(tmp_path / "my.toml"), str(tmp_path / "machine"), RATE, uncertainty=BOX)
+    radius, peaks = closed_loop(sampled(omega, ratio, out, into), tmp_path / "machine")
+    assert "sensing as given; z:" in said[0] and radius < 1 and peaks.max() < 6.02
+    assert _controllers(tmp_path / "machine")[1]["provenance"]["mass_unit"] == "kg m^2"
+
+
+def test_what_is_missing_of_a_geometry_is_named(tmp_path):
+    seen = accelerance(*machine(3, 3))[:, :, :2]
+    np.savez(tmp_path / "plant.npz", **{"frequency (Hz)": HZ, "h (m/s^2/N)": seen})
+    with pytest.raises(InputError, match=r"plant\.npz holds 3 outputs and 2 inputs"):
+        design_file(str(tmp_path / "plant.npz"), str(tmp_path / "out"), RATE)
+    for text, message in (
+        ("sensing = [[1.0, 0.0]]", "sensing"),
+        ("sensing = [[1.0, 0.0, 0.0]]", "2 inputs"),
+        ("sensor = 1", "unknown name 'sensor'"),
+        ("sensing = [[1.0, 0, 0], [0, 1.0, 0]]\naxes = ['z']", "1 and 2 of 2 axes"),
+    ):
+        (tmp_path / "my.toml").write_text(f'response = "plant.npz"\n[decoupling]\n{text}\n')
+        with pytest.raises(InputError, match=message):
+            design_file(str(tmp_path / "my.toml"), str(tmp_path / "out"), RATE)
+    assert not (tmp_path / "out").exists()
+
+
 def _controllers(folder):
     about = json.loads((folder / "axes.json").read_text())
     return [json.loads((folder / each["controller"]).read_text()) for each in about["axes"]]
+
+
+@pytest.mark.slow
+def test_a_retest_of_the_whole_holds_on_its_machine_and_not_on_one_that_has_changed(tmp_path, untuned):
+    """By the poles of the changed machine's loops: stable, and unstable where an actuator has turned round or is strong."""
+    omega, ratio, out, into = machine(2, 1)
+    design(tmp_path, accelerance(omega, ratio, out, into))
+    held = str(tmp_path / "machine" / "axes.json")
+    for name, factors in (("same", [1.0, 1.0]), ("strong", [1.0, 4.0]), ("turned", [1.0, -1.0])):
+        seen = accelerance(omega, ratio, out, into * factors)
+        file = str(tmp_path / f"{name}.npz")
+        np.savez(file, **{"frequency (Hz)": HZ, "h (m/s^2/N)": seen})
+        said = retest_file(held, file, str(tmp_path / f"{name}.html"))
+        radius, peaks = closed_loop(sampled(omega, ratio, out, into * factors), tmp_path / "machine")
+        holds = bool(radius < 1 and peaks.max() < 6.01)
+        assert ("the promise holds" in said[0]) is holds is (name == "same"), said
+    with pytest.raises(InputError, match="is of 2 over 2"):
+        np.savez(file, **{"frequency (Hz)": HZ, "h (m/s^2/N)": accelerance(*machine(3, 1))})
+        retest_file(held, file, str(tmp_path / "other.html"))
+    own = str(tmp_path / "machine" / "axis-1" / "controller_1.json")
+    file = str(tmp_path / "machine" / "axis-1.npz")
+    assert "the promise holds" in retest_file(own, file, str(tmp_path / "own.html"))[0]
 
 
 @pytest.mark.slow

@@ -689,17 +689,7 @@ def load_controller(file: str | Path) -> DigitalController:
     file = Path(file)
     if file.suffix.lower() == ".toml":
         return _from_table(read_toml(file), file.name)
-    try:
-        entries = json.loads(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(
-            f"{short_repr(str(file))} cannot be read ({error.strerror}); give a JSON or TOML file"
-        ) from None
-    except (ValueError, RecursionError):
-        entries = None
-    if not isinstance(entries, dict):
-        raise InputError(f"{file.name} is no controller; give the controller.json that design wrote")
-    table = Table(entries, file.name)
+    table = read_json(file)
     if "controller" in table:
         return _from_table(table, file.name)
     if table["format"] != FORMAT:
@@ -719,6 +709,23 @@ def load_controller(file: str | Path) -> DigitalController:
     if table.get("motion") is not None:
         read["motion"] = _read_motion(table.table("motion"), 0.0)
     return DigitalController(model, tuple(_list(table, "inputs")), tuple(_list(table, "outputs")), **read)
+
+
+@checked
+def read_json(file: str | Path) -> Table:
+    """The entries of a JSON file; `InputError` when it is none, or holds no table."""
+    file = Path(file)
+    try:
+        entries = json.loads(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(
+            f"{short_repr(str(file))} cannot be read ({error.strerror}); give a JSON or TOML file"
+        ) from None
+    except (ValueError, RecursionError):
+        entries = None
+    if not isinstance(entries, dict):
+        raise InputError(f"{file.name} is no controller; give the controller.json that design wrote")
+    return Table(entries, file.name)
 
 
 def _from_table(entries: Table, name: str) -> DigitalController:

@@ -17,7 +17,7 @@ from stillwork.control.machine_loops import in_hertz
 from stillwork.identification.machine import build_machine
 from stillwork.identification.machine_files import load_machine
 from stillwork.identification.matrix_files import MatrixFile, load_matrix
-from stillwork.machine.axes_loops import AxesLoops, paint_axes, paint_decoupling, sizes
+from stillwork.machine.axes_loops import FORMAT, AxesLoops, paint_axes, paint_decoupling, sizes
 from stillwork.machine.c_code import axes_code
 from stillwork.machine.decoupled import (
     Axes,
@@ -33,7 +33,6 @@ from stillwork.machine.html_page import page, picture, table
 from stillwork.machine.inspect import inspect_file
 from stillwork.machine.machine_toml import open_machine_toml
 
-FORMAT = "stillwork axes 1"
 SLOWER, LEAST, ROUNDS = (
     0.97,
     0.05,

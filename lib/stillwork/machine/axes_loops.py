@@ -3,17 +3,21 @@
 from collections.abc import Mapping
 from dataclasses import replace
 from itertools import product
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from stillwork.base.checks import InputError, require_array
+from stillwork.base.toml_files import Table
 from stillwork.control.bandwidth import SIX_DB
 from stillwork.control.pid import Pid
 from stillwork.identification.matrix_files import MatrixFile
 from stillwork.machine import pictures
 from stillwork.machine.decoupled import Axes, Judged, interaction, judge
-from stillwork.machine.designed_loop import DesignedLoop
+from stillwork.machine.designed_loop import DesignedLoop, load_design
 
+FORMAT = "stillwork axes 1"
 MOST_PLACES = 200  # of the box
 
 
@@ -28,6 +32,28 @@ class AxesLoops(NamedTuple):
     delay: float  # samples
     band_hz: tuple[float, float]  # where the matrix is the plant
     shares: Mapping[str, float]  # of the box
+
+    @classmethod
+    def read(cls, file: Path, about: Table, matrix: MatrixFile, loop_hz: tuple[float, float]) -> "AxesLoops":
+        """Those of an ``axes.json`` around another matrix."""
+        sensing, actuation = (require_array(name, about[name], ndim=2) for name in ("sensing", "actuation"))
+        shape, wanted = (len(matrix.outputs), len(matrix.inputs)), (sensing.shape[1], len(actuation))
+        if shape != wanted:
+            raise InputError(
+                f"{matrix.source} holds {shape[0]} outputs over {shape[1]} inputs, {file.name} is of {wanted[0]} over "
+                f"{wanted[1]}; give all responses of the design, in its order"
+            )
+        loops = [load_design(str(file.parent / each["controller"])) for each in about["axes"]]
+        names = tuple(each["name"] for each in about["axes"])
+        low, high = loop_hz if any(loop_hz) else about["band_hz"]
+        band = max(low, matrix.hertz[0]), min(high, matrix.hertz[-1])
+        axes = Axes(sensing, actuation, about["decoupling"])
+        return cls(matrix, axes, names, loops, about["rate_hz"], about["delay_samples"], band, {})
+
+    def alone(self) -> np.ndarray:
+        """1 + L of the model of each axis at the measured lines, (lines, axes)."""
+        pairs = [(each, each.loop.plant_at(self.lines())) for each in self.loops]
+        return np.stack([1 + plant * each.response(self.lines()) for each, plant in pairs], axis=1)
 
     def places(self) -> list[tuple[float, np.ndarray]]:
         """Of the box: how far all modes move together, and the gain of each axis; the middle first."""

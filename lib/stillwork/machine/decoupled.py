@@ -173,9 +173,15 @@ class Judged(NamedTuple):
 
 
 @checked
-def turns(matrix: Complex128[np.ndarray, "lines n n"]) -> tuple[int, bool]:
-    """Turns around zero that det(I + L) makes more than the product of its diagonal, and whether lines are enough."""
-    ratio = np.linalg.det(matrix) / np.prod(np.einsum("fii->fi", matrix), axis=1)
+def turns(
+    matrix: Complex128[np.ndarray, "lines n n"], own: Complex128[np.ndarray, "lines n"] | None = None
+) -> tuple[int, bool]:
+    """Turns around zero that det(I + L) makes more than a product, and whether lines are enough to count them.
+
+    The product is that of its diagonal, or of `own`.
+    """
+    own = np.einsum("fii->fi", matrix) if own is None else own
+    ratio = np.linalg.det(matrix) / np.prod(own, axis=1)
     steps = np.angle(ratio[1:] / ratio[:-1])
     ends = np.angle(ratio[[0, -1]])
     count = round(float(steps.sum() - ends[1] + ends[0]) / (2 * np.pi))

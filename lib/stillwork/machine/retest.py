@@ -13,15 +13,18 @@ from stillwork.base.checks import InputError, pluralise
 from stillwork.base.extras import require_package
 from stillwork.base.toml_files import Table
 from stillwork.control.bandwidth import SIX_DB, Loop, make_loop
-from stillwork.control.digital import DigitalController
+from stillwork.control.digital import DigitalController, read_json
 from stillwork.control.machine_loops import HELD, SHOWN, encirclement_difference, on_measurement
 from stillwork.control.pid import Pid
 from stillwork.control.uncertainty import NORMAL
 from stillwork.identification.frequency_response import Identified
 from stillwork.identification.machine import Machine, build_machine, remove_delay, whole_band
 from stillwork.identification.machine_files import load_machine, load_ratio
+from stillwork.identification.matrix_files import load_matrix
 from stillwork.lti.modal import ModalModel
 from stillwork.machine import pictures
+from stillwork.machine.axes_loops import FORMAT, AxesLoops, paint_axes, paint_decoupling
+from stillwork.machine.decoupled import turns
 from stillwork.machine.designed_loop import DesignedLoop, load_design
 from stillwork.machine.hardware import ALLOWED_DB, own_functions
 from stillwork.machine.html_page import page, picture, require_new, table
@@ -53,7 +56,7 @@ def retest_file(
     Parameters
     ----------
     controller : str
-        JSON file that `design` wrote.
+        JSON file that `design` wrote; ``axes.json`` is that of all axes of a matrix response.
     file : str
         New measurement of the machine, as for `design` and in the same units; see `load_machine`.
     out : str
@@ -81,6 +84,11 @@ def retest_file(
     """
     require_package("matplotlib")
     target = require_new(out or f"{Path(file).name}.retest.html")
+    about = read_json(controller)
+    if about.get("format") == FORMAT:
+        if closed_loop:
+            raise InputError("closed_loop is for one axis; measure the matrix response of the machine")
+        return _retest_axes(Path(controller), about, file, target, loop_hz, load_options)
     designed = load_design(controller)
     if closed_loop:
         found = _measured_in_the_loop(designed, file, loop_hz, load_options)
@@ -103,6 +111,35 @@ def retest_file(
     ]
     target.write_text(_page(designed, found, file, [*answer, *findings]), encoding="utf-8")
     return [*answer, f"written: {target}", *(findings if verbose else [])]
+
+
+def _retest_axes(controller: Path, about: Table, file: str, target: Path, loop_hz, load_options) -> list[str]:
+    """As `retest_file`, of all axes at once around a new matrix response."""
+    matrix = load_matrix(file, load_options.get("response_unit", ""), load_options.get("force_unit", ""))
+    if matrix is None:
+        raise InputError(f"{Path(file).name} holds no matrix response; give all entries of the design's")
+    closed = AxesLoops.read(controller, about, matrix, loop_hz)
+    omega, alone = closed.lines(), closed.alone()
+    whole = np.eye(len(closed.loops)) + closed.gains([(0.0, np.ones(len(closed.loops)))])[0]
+    count, enough = turns(whole, alone)
+    own = np.einsum("fii->fi", np.linalg.inv(whole))
+    peaks = {
+        name: {"|S_kk|": _peak(omega, own[:, k], 1 / alone[:, k])} for k, name in enumerate(closed.names)
+    }
+    found = _Found({}, enough, count, [])
+    stability = f"extra turns of det(I + L) around zero: {count}"
+    lines = [
+        f"{matrix.source} with {controller.name}: {_verdict(found, peaks)}",
+        "; ".join(f"{name} |S_kk| {each['|S_kk|']}" for name, each in peaks.items()),
+        stability if enough else "the lines are too far apart, or end too early, to count turns",
+    ]
+    body = "".join(f"<p>{html.escape(line)}</p>\n" for line in lines)
+    body += picture(paint_decoupling(closed), "responses before and behind the decoupling")
+    body += picture(paint_axes(closed), "sensitivities of all axes")
+    held = html.escape(inspect_file(file))
+    text = page("report.html", source=html.escape(matrix.source), body=body, held=held)
+    target.write_text(text, encoding="utf-8")
+    return [*lines, f"written: {target}"]
 
 
 class _Found(NamedTuple):
@@ -292,12 +329,14 @@ def _peaks(loop: Loop, controller: DigitalController) -> dict[str, Peak]:
     """Of each function; a measured loop's is judged by what it is over that of its model, which noise alone roughens."""
     expected = replace(loop, plant_response=loop.plant_at(loop.omega))
     pairs = zip(HELD, own_functions(loop, controller), own_functions(expected, controller), strict=True)
-    found = {}
-    for name, seen, modelled in pairs:
-        place, *sizes = largest(loop.omega, seen, modelled)
-        size, low, high = 20 * np.log10(sizes)
-        found[name] = Peak(float(size), float(loop.omega[place] / (2 * np.pi)), (float(low), float(high)))
-    return found
+    return {name: _peak(loop.omega, seen, modelled) for name, seen, modelled in pairs}
+
+
+def _peak(omega: np.ndarray, seen: np.ndarray, modelled: np.ndarray) -> Peak:
+    """The largest magnitude of a measured function, by what it is over that of its model."""
+    place, *sizes = largest(omega, seen, modelled)
+    size, low, high = 20 * np.log10(sizes)
+    return Peak(float(size), float(omega[place] / (2 * np.pi)), (float(low), float(high)))
 
 
 @pictures.house_style()
