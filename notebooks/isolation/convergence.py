@@ -865,8 +865,7 @@ LIMITS = r"""
 
 The final values of FeRLS agree, since the model is fitted to them. The single times of FeLMS follow the levels of the shakers.
 *Up to 37 times* rests on w3 alone. FeRLS is *more uniform* neither in Table 1 nor in the model. Verdicts on times near the edge
-of their interval (w6 to w9) change with the set of runs. With the diagonal estimate the sideways modes of the rigid body
-diverge on a floor of 20-24 Hz.
+of their interval (w6 to w9) change with the set of runs.
 """
 
 
