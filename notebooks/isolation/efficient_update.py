@@ -182,10 +182,12 @@ def paint_costs(
     shown = {**_NAMES, "C": "the recursion in C"}
     _bars(lower, {text: times[name]["median_us"] for name, text in shown.items() if name in times}, "{:.2g}")
     lower.axvline(1e6 * sample_time, color=figures.BLACK, lw=1, ls="--")
-    style = {"ha": "right", "va": "center", "fontsize": 8, "xytext": (-3, 0), "textcoords": "offset points"}
-    lower.annotate(f"sample time, {1e6 * sample_time:.0f} µs", (1e6 * sample_time, 3.0), **style)
+    style = {"va": "center", "fontsize": 8, "textcoords": "offset points"}
+    lower.annotate(
+        f"sample time, {1e6 * sample_time:.0f} µs", (1e6 * sample_time, 3.0), (3, 0), ha="left", **style
+    )
     lower.axvline(PRINTED_US, color=figures.BLACK, lw=1, ls=":")
-    lower.annotate("published: the whole controller, 140 µs", (PRINTED_US, 2.0), **style)
+    lower.annotate("published: the whole controller, 140 µs", (PRINTED_US, 2.0), (-3, 0), ha="right", **style)
     lower.set(xlabel="measured time per update (µs)", title="measured, 6 outputs × 9 regressors")
     return figure
 

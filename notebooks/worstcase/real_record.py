@@ -109,7 +109,7 @@ def paint_sweep(factors: np.ndarray, found: dict[int, np.ndarray]):
 def explore_sweep(taps: int, length: int):
     """`paint_sweep` for another model and window."""
     pair, _ = load_pair((100.0, 1500.0), (300.0, 600.0))
-    factors = np.geomspace(0.1, 5, 9)
+    factors = np.geomspace(0.1, 5, 7)
     return paint_sweep(factors, {int(length): bound_sweep(pair, int(taps), int(length), factors, 10)})
 
 
