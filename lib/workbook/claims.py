@@ -213,6 +213,11 @@ class Entry:
         return self.id.partition(".")[0]
 
 
+def rounded(value: float, digits: int) -> str:
+    """So many digits, in thousands without an exponent: 4380, not 4.38e+03."""
+    return f"{float(f'{value:.{digits}g}'):.10g}"
+
+
 @dataclass(frozen=True)
 class Claim:
     """An entry with the value found by a notebook (None: not built yet).
@@ -326,10 +331,10 @@ class Claim:
         if self.ours and entry.drift.absolute:  # no digit that another processor may turn
             size, room = (math.log10(abs(each)) for each in (self.ours, entry.drift.absolute))
             digits = min(digits, max(1, 1 + math.floor(size) - math.ceil(room)))
-        text = f"{self.ours:.{digits}g}"
+        text = rounded(self.ours, digits)
         while entry.is_fraction and float(text) == 1 != self.ours and digits < 8:  # nearly all is not all
             digits += 1
-            text = f"{self.ours:.{digits}g}"
+            text = rounded(self.ours, digits)
         return text
 
     def row(self, digits: int) -> tuple[str, ...]:
@@ -337,7 +342,7 @@ class Claim:
         entry = self.entry
         ours = "" if self.ours is None else self.shown(digits)
         published = "" if entry.published is None else f"{entry.published:.4g}"
-        spread = "{:.3g} .. {:.3g}".format(*self.interval) if self.interval else ""
+        spread = " .. ".join(rounded(end, 3) for end in self.interval) if self.interval else ""
         return entry.id, entry.place, published, ours, spread, entry.unit
 
     def as_dict(self) -> dict:
