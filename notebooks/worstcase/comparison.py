@@ -412,20 +412,7 @@ def statements_at(*, map_taps: int, map_memory: int, seed: int, lean: bool) -> d
     return statements(compare(SETTINGS, seed=seed, **how)) | turning_points(sweep["errors"])
 
 
-def recommend(errors: np.ndarray) -> np.ndarray:
-    """For every setting the method whose error, over the best one's, is smallest with the excitation that is worst for it."""
-    return over_best(errors).max(axis=-2).argmin(axis=-1)
-
-
 # === Comparison pictures ==========================================================================================
-
-
-AGAINST = (
-    ("min_max", figures.BLUE),
-    ("bayes", figures.GREEN),
-    ("total", figures.RED),
-    ("hinfinity", figures.PURPLE),
-)
 
 
 LEVELS = (1.0, 1.1, 1.5, 2.0, 4.0, 8.0, 100.0)  # of the map's colours
@@ -481,30 +468,6 @@ def paint_turning(noises, errors: np.ndarray):
     panels[0, 0].set_ylabel("error over least squares'")
     panels[1, 0].set_ylabel("error over that of zero")
     figures.legend_below(panels[0, 0], 2)
-    return figure
-
-
-def paint_ratios(names: list[str], errors: np.ndarray):
-    """Error over that of least squares, geometric mean over runs: the range over the excitations, a dot each."""
-    figure, axes = figures.new(height=0.42 * len(names) + 1.4)
-    logs, order = np.log(errors).mean(axis=2), list(METHODS)
-    ratios = np.exp(logs - logs[..., order.index("least"), None])
-    axes.axvline(1, color=figures.BLACK, linestyle="--", linewidth=1, label="least squares")
-    for place, (method, colour) in enumerate(AGAINST):
-        rows = np.arange(len(names)) + 0.2 * (place - 1.5)
-        each = ratios[..., order.index(method)]
-        axes.hlines(rows, each.min(axis=1), each.max(axis=1), color=colour, lw=1, label=f"_{METHODS[method]}")
-        for number, excitation in enumerate(EXCITATIONS):
-            label = METHODS[method] if number == 0 else f"_{METHODS[method]}, {excitation}"
-            axes.plot(each[:, number], rows, "o", ms=3, color=colour, label=label)
-    axes.set(
-        xscale="log", xlabel="error over that of least squares", ylabel="what is wrong (noise: input, output)"
-    )
-    axes.set_xticks([1 / 16, 1 / 4, 1, 4, 16, 64], ["1/16", "1/4", "1", "4", "16", "64"])
-    axes.minorticks_off()
-    axes.set_yticks(np.arange(len(names)), names)
-    axes.set_ylim(len(names) - 0.5, -0.5)
-    figures.legend_below(axes, 3)
     return figure
 
 
@@ -583,8 +546,6 @@ How often a method is proved equal to the best of its cell, and its largest erro
             page.check(entry, *(value if isinstance(value, tuple) else (value,)))
     entry = "worstcase.comparison.evidence-at-the-end"
     page.check(entry, turning_points(sweep)[entry])
-    page.text("Over least squares, a dot an excitation. Left of the dashed line is better.")
-    page.save("ratios", paint_ratios(list(SETTINGS), errors))
     apart = np.log(errors[..., methods.index("approximate")] / errors[..., methods.index("min_max")]).mean(
         axis=-1
     )
@@ -592,7 +553,6 @@ How often a method is proved equal to the best of its cell, and its largest erro
     page.check("worstcase.comparison.approximate", most)
     page.conclude("The approximate update (20) errs as the exact one does, to {most:.1%}.", most=most)
     _of_structure(page, structured)
-    _of_recommendation(page, errors, structured)
 
 
 def _of_criterion(page, found: dict[str, np.ndarray], said: dict) -> None:
@@ -627,22 +587,6 @@ instruments. Below the picture the errors, the largest of the excitations.""")
         page.show(f"{name}: " + ", ".join(each))
     for entry, value in structured_ratios(structured).items():
         page.check(entry, value)
-
-
-def _of_recommendation(page, errors: np.ndarray, structured: np.ndarray) -> None:
-    page.text("""## The table
-
-For every row the method with the smallest error over the best at its worst excitation, found by every second run and judged by
-the others.""")
-    everything, names, methods = np.concatenate([errors, structured]), [*SETTINGS, *STRUCTURED], list(METHODS)
-    choice, proof = recommend(everything[:, :, ::2]), over_best(everything[:, :, 1::2])
-    judged = proof[np.arange(len(choice)), :, choice].max(axis=1)
-    for name, method, ratio, own in zip(
-        names, choice, judged, proof[..., methods.index("min_max")], strict=True
-    ):
-        best = METHODS[methods[method]]
-        page.show(f"{name:22s} {best:28s} at most {ratio:.2f} of the best; min-max {own.max():.2f}")
-    page.check("worstcase.comparison.recommended", judged.max())
 
 
 OTHER_METHODS = r"""## The other methods

@@ -16,7 +16,6 @@ from notebooks.worstcase.comparison import (
     equal_to_best,
     estimates,
     over_best,
-    recommend,
     sample_record,
     turning_points,
 )
@@ -131,9 +130,6 @@ def test_the_judgement_of_a_cell():
     assert comparison.worse_than_best(runs).tolist() == [False, True, False]
     low, high = best_intervals(runs)
     assert low[1] < np.exp(0.1) < high[1]
-    # two excitations: the second method is nowhere best, and nowhere far behind
-    rows = np.array([[[[1.0, 1.1, 3.0]] * 2, [[3.0, 1.1, 1.0]] * 2]])
-    assert recommend(rows).tolist() == [1]
 
 
 def test_penalties_are_those_of_the_plain_criteria():
