@@ -49,7 +49,7 @@ from stillwork.machine.isolation_prediction import IsolationPrediction, predict
 from stillwork.machine.machine_toml import open_machine_toml
 from stillwork.machine.path_fit import PathFit, fit_path
 from stillwork.machine.replay import Replay, paint_replay, replay_rows, require_kept
-from stillwork.machine.settling import settle_on_record
+from stillwork.machine.settling import Learning, paint_learning, settle_on_record
 from stillwork.signals.criteria import criterion_met, one_third_octave_velocity
 from stillwork.signals.datafiles import read_arrays, read_columns
 from stillwork.signals.densities import density_unit, read_densities, stated_density
@@ -209,7 +209,10 @@ def isolate_file(
         "name": name,
         "guard": name.upper(),
     }
-    given |= {"replay": _replayed(run, found, limit), "files": html.escape(", ".join(sorted(files)))}
+    given |= {
+        "replay": _replayed(run, learning, found, limit),
+        "files": html.escape(", ".join(sorted(files))),
+    }
     text = _report(design, around, found, spectra, facts, **given)
     (Path(folder) / "report.html").write_text(text, encoding="utf-8")
     answer.append(f"C and reasons: {folder}: {', '.join(sorted([*files, 'report.html']))}")
@@ -299,9 +302,9 @@ def _report(design, around, found, spectra: FloorSpectra, facts: list[list[str]]
     )
 
 
-def _replayed(run: Replay | None, found: IsolationPrediction, limit: float) -> str:
+def _replayed(run: Replay | None, learning: Learning | None, found: IsolationPrediction, limit: float) -> str:
     """The part of the page on the record that ran through the loop."""
-    if run is None:
+    if run is None or learning is None:
         return ""
     saturated = (
         f"{run.saturated[0]} samples frozen and {run.saturated[1]} adapting at the limit of {limit:g} N"
@@ -315,6 +318,8 @@ def _replayed(run: Replay | None, found: IsolationPrediction, limit: float) -> s
         f"{100 * run.kept:.2g} % of the time. Each minute (rms, m/s<sup>2</sup>, of every axis):</p>\n"
         + table(["minute", "without control", "frozen", "adapting"], replay_rows(run))
         + picture(paint_replay(run, found, limit), "motion and command over the record")
+        + f"<p>Weights from zero: {html.escape(learning.sentence())}.</p>\n"
+        + picture(paint_learning(learning), "remaining motion while weights learn from zero")
     )
 
 
