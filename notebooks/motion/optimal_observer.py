@@ -284,10 +284,13 @@ COLOURS = {"no observer": figures.GREY, "Kalman": figures.RED, "optimal": figure
 
 
 def paint_responses(
-    problem: ObserverProblem, observers: Mapping[str, StateModel], weight: StateModel | None = None
+    problem: ObserverProblem,
+    observers: Mapping[str, StateModel],
+    weight: StateModel | None = None,
+    points: int = 1500,
 ):
-    """Sensitivity from r to e_true and equivalent controller from y to f of several observers."""
-    omega = 2 * np.pi * np.geomspace(0.1, 2000, 1500)
+    """Sensitivity from r to e_true and equivalent controller from y to f of several observers, at so many frequencies."""
+    omega = 2 * np.pi * np.geomspace(0.1, 2000, points)
     figure, (left, right) = figures.new(1, 2, height=3.2)
     for name, observer in observers.items():
         closed = closed_loop(problem.plant, problem.compensator(observer), problem.controller.state_space())
@@ -334,7 +337,8 @@ def paint_emphasis(emphasis: float):
     """Explorer: the loop on the front at one emphasis, beside the Kalman loop."""
     problem, generalised, kalman, weight = _compared()
     found = h2_riccati(emphasised(generalised, weight, emphasis), *regularisation(problem, 0.01))
-    return paint_responses(problem, {"Kalman": kalman, f"emphasis {emphasis:.2g}": found.controller}, weight)
+    observers = {"Kalman": kalman, f"emphasis {emphasis:.2g}": found.controller}
+    return paint_responses(problem, observers, weight, points=600)
 
 
 # === Control bandwidth ============================================================================================
