@@ -57,7 +57,7 @@ def test_a_template_gives_a_page_that_says_what_limits(name, files, tmp_path):
     ]
     assert any("isolator drive: no source given" in line and "typical" in line for line in lines)
     assert "What to buy next" in (tmp_path / "out" / f"{name}.budget.html").read_text()
-    assert f"rms {rms(lines):.3g} nm" in answer[0] and answer[2].endswith(f"{name}.budget.html")
+    assert f"rms {rms(lines):g} nm" in answer[0] and answer[2].endswith(f"{name}.budget.html")
     first = re.search(r"what to buy next: 1\. (.+?)(;|$)", "\n".join(lines))[1]
     assert f"to buy next: {first}" in answer[1] and answer[1].split(" (")[0][17:] in lines[1].split(";")[0]
 
@@ -308,7 +308,7 @@ def test_a_stage_elsewhere_has_its_own_error(files, tmp_path):
     file.write_text(text)
     lines = findings(str(file), out=str(tmp_path / "out"))
     (said,) = [line for line in lines if line.startswith("over the stage's positions")]
-    assert f"here {rms(lines):.3g} nm" in said and "there the closed loop is unstable" in said
+    assert f"here {rms(lines):g} nm" in said and "there the closed loop is unstable" in said
 
 
 def test_the_bandwidth_that_an_unstable_loop_is_offered_is_stable(files, tmp_path):
