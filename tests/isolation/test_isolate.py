@@ -600,7 +600,23 @@ def test_without_a_compiler_the_record_runs_through_the_same_loop(monkeypatch, a
     runs = [both(np.inf)]
     limit = 0.6 * float(runs[0].peak.max())
     runs.append(both(limit))
+    course = replay_module.Course(design, isolator, floor, 0.05, (1.0, 100.0))
+
+    def sampled():
+        with replay_module.controller(design, files, "iso", 0.05) as (run, _):
+            return run(
+                isolator, 0 * design.steady.weights, *course.read, limit, course.lead, course.samples - 9000
+            )
+
+    samples = [sampled()]
     monkeypatch.setattr(replay_module, "COMPILERS", ())
+    samples.append(sampled())
+    (forces, flags, mean), (wanted, raised, averaged) = samples
+    assert (
+        np.array_equal(flags & (1 | 16), raised) and len(set(raised)) > 2
+    )  # sample by sample; the C flags frozen ones, too
+    assert np.abs(wanted - forces).max() < 1e-7 * np.abs(forces).max()
+    assert np.abs(averaged - mean).max() < 1e-7 * np.abs(mean).max()
     runs += [both(np.inf), both(limit)]
     for in_c, kernel in zip(runs[:2], runs[2:], strict=True):
         assert in_c.ran != kernel.ran and in_c.saturated == kernel.saturated
