@@ -192,8 +192,8 @@ def design_file(
     single = [files] if isinstance(files, str) else files
     if len(single) == 1 and (wanted := read_axes(single[0], options)):
 
-        def make(*where: str, **changed) -> list[str]:
-            return design_file(*where, rate, verbose=True, **{name: asked[name] for name in own} | changed)
+        def make(file: str, to: str, **changed) -> list[str]:
+            return design_file(file, to, rate, verbose=True, **{name: asked[name] for name in own} | changed)
 
         return design_axes(wanted, folder, request, make, verbose)
     given = _read(request, files, options)
