@@ -235,6 +235,9 @@ def test_the_command_line_begins_templates_and_refuses_to_overwrite(tmp_path, mo
     assert "<img" in (tmp_path / "wafer-stage.budget.html").read_text()
     assert main(["budget", "wafer-stage.toml"]) == 2
     assert "exists; move it away" in capsys.readouterr().err
+    (tmp_path / "own.toml").write_text("[stage]\nmass = 1.0\n")
+    assert main(["budget", "own.toml"]) == 2  # names of the file, not options of the command
+    assert "known: name, band_hz, exposure_s" in capsys.readouterr().err
 
 
 def add(file, *lines):

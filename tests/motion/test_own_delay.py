@@ -15,7 +15,7 @@ from stillwork.control.pid import PidFamily
 from stillwork.identification.machine import Machine
 from stillwork.lti.modal import ModalModel
 from stillwork.machine.design import design_file
-from stillwork.machine.machine_designs import crossing
+from stillwork.machine.machine_designs import crossing, search_designs
 from stillwork.machine.retest import retest_file
 from stillwork.machine.waiting import waited
 
@@ -108,6 +108,19 @@ def test_a_later_machine_never_gets_further(seed):
     found = [furthest(machine, ALONE, SearchSettings(1 / RATE, float(delay))) for delay in range(2)]
     assert found[0] > 0
     assert found[1] <= 1.005 * found[0]
+
+
+@pytest.mark.slow
+def test_more_freedom_never_costs_bandwidth():
+    """Of the whole search: a use that contains another, and a machine that is earlier by whole samples."""
+    machine, reached = random_machine(21), []
+    for delay in (0.0, 2.0):
+        found = search_designs(machine, rate=RATE, delay=delay, uncertainty="none,gain=0.05").found
+        hertz = {use: crossing(each) for use, each in found.items()}
+        assert min(hertz["PID with notches"], hertz["MC"], hertz["AD"]) >= 0.995 * hertz["PID"] > 0
+        assert hertz["MC and AD"] >= 0.995 * max(hertz["MC"], hertz["AD"])
+        reached.append(hertz)
+    assert all(reached[1][use] <= 1.005 * hertz for use, hertz in reached[0].items())
 
 
 @pytest.mark.slow
