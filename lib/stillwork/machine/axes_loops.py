@@ -18,7 +18,8 @@ from stillwork.machine.decoupled import Axes, Judged, interaction, judge
 from stillwork.machine.designed_loop import DesignedLoop, load_design
 
 FORMAT = "stillwork axes 1"
-MOST_PLACES = 200  # of the box
+LOWEST = 10  # lines
+MOST_SIGNS = 64  # of gains of the actuators, that are tried
 
 
 class AxesLoops(NamedTuple):
@@ -50,29 +51,62 @@ class AxesLoops(NamedTuple):
         axes = Axes(sensing, actuation, about["decoupling"])
         return cls(matrix, axes, names, loops, about["rate_hz"], about["delay_samples"], band, {})
 
-    def alone(self) -> np.ndarray:
-        """1 + L of the model of each axis at the measured lines, (lines, axes)."""
-        pairs = [(each, each.loop.plant_at(self.lines())) for each in self.loops]
-        return np.stack([1 + plant * each.response(self.lines()) for each, plant in pairs], axis=1)
-
     def places(self) -> list[tuple[float, np.ndarray]]:
-        """Of the box: how far all modes move together, and the gain of each axis; the middle first."""
-        count, shares = len(self.names), self.shares
-        moves = [0.0, shares.get("frequency", 0.0), -shares.get("frequency", 0.0)]
+        """Of the box: how far all modes move together, and the gain of each actuator; the middle first."""
+        inputs, shares = len(self.matrix.inputs), self.shares
+        moves = dict.fromkeys((0.0, shares.get("frequency", 0.0), -shares.get("frequency", 0.0)))
         gain = shares.get("gain", 0.0) + shares.get("mass", 0.0)
-        signs = (
-            list(product((1.0, -1.0), repeat=count))[: MOST_PLACES // len(moves)]
-            if gain
-            else [np.zeros(count)]
-        )
-        found = [(0.0, np.ones(count))]
-        return found + [(move, 1 + gain * np.array(sign)) for move in dict.fromkeys(moves) for sign in signs]
+        signs = np.array(list(product((1.0, -1.0), repeat=inputs)))
+        if len(signs) > MOST_SIGNS:  # all alike, and some of the others
+            some = np.random.default_rng(0).choice(
+                np.arange(1, len(signs) - 1), MOST_SIGNS - 2, replace=False
+            )
+            signs = signs[[0, *some, -1]]
+        found = [
+            (move, 1 + gain * sign) for move in moves for sign in (signs if gain else [np.zeros(inputs)])
+        ]
+        return [(0.0, np.ones(inputs)), *found]
 
     def gains(self, places, slower: np.ndarray | None = None) -> list[np.ndarray]:
         """Loop gains at places of the box; with `slower`, of PID controllers at these shares of their bandwidths."""
-        return [
-            self.plant(move) * (self._controllers(move, slower) * gain)[:, None, :] for move, gain in places
-        ]
+        return [self.plant(*place) * self._controllers(place[0], slower)[:, None, :] for place in places]
+
+    def alone(self, places, slower: np.ndarray | None = None) -> list[np.ndarray]:
+        """1 + L of the model of each axis at the measured lines and at places of the box, each (lines, axes)."""
+        found, parts = [], self.parts()
+        own = (parts / parts.sum(axis=1, keepdims=True)).real
+        for move, gain in places:
+            omega = self.lines(move)
+            held = []
+            for each in self.loops:
+                more = each.made["delay_samples_of_the_loop"] - self.delay
+                model = each.loop.plant.frequency_response(omega / (1 + move))[0, 0] / (1 + move) ** 2
+                held.append(
+                    model * self._late(omega, more)
+                    + each.loop.plant_at(omega)
+                    - each.loop.plant_at(omega, held=False)
+                )
+            found.append(1 + np.stack(held, axis=1) * self._controllers(move, slower) * (own @ gain))
+        return found
+
+    def parts(self) -> np.ndarray:
+        """Of what each axis does to itself at the lowest lines, the part of each actuator: (axes, inputs)."""
+        low = self._seen(LOWEST).mean(axis=0)
+        return (self.axes.sensing @ low) * self.axes.actuation.T
+
+    def _seen(self, count: int) -> np.ndarray:
+        """The matrix at the first lines of the band."""
+        first = np.searchsorted(self.matrix.hertz, self.band_hz[0])
+        return self.matrix.accelerance[first : first + count]
+
+    def _late(self, omega: np.ndarray, more: float = 0.0) -> np.ndarray:
+        """The hold, the delay, and some samples more."""
+        turn = 1j * omega / self.rate
+        return -np.expm1(-turn) / turn * np.exp(-turn * (self.delay + more))
+
+    def judge(self, places, slower: np.ndarray | None = None) -> Judged:
+        """All loops at places of the box, the middle first; with `slower` as of `gains`."""
+        return judge(self.gains(places, slower), self.alone(places, slower))
 
     def lines(self, move: float = 0.0) -> np.ndarray:
         """Frequencies of the measured lines, rad/s, where all modes have moved by a share."""
@@ -80,21 +114,18 @@ class AxesLoops(NamedTuple):
         inside = (hertz >= self.band_hz[0]) & (hertz * (1 + abs(move)) <= self.band_hz[1])
         return 2 * np.pi * hertz[inside] * (1 + move)
 
-    def plant(self, move: float = 0.0, inner: bool = True) -> np.ndarray:
+    def plant(self, move: float = 0.0, gain: np.ndarray | float = 1.0, inner: bool = True) -> np.ndarray:
         """Sampled response from the axes' forces to their positions; not `inner`: from the actuators to the sensors.
 
         Aliases are taken from the model of each axis, and so off the diagonal there are none.
         """
         omega = self.lines(move)
-        turn = 1j * omega / self.rate
-        late = -np.expm1(-turn) / turn * np.exp(-turn * self.delay)
-        hertz, seen = self.matrix.hertz, self.matrix.accelerance
-        first = np.searchsorted(hertz, self.band_hz[0])
-        seen = seen[first : first + len(omega)]
-        position = (self.axes.of(seen) if inner else seen) * (-late / omega**2)[:, None, None]
-        if inner:
-            for k, each in enumerate(self.loops):
-                position[:, k, k] += each.loop.plant_at(omega) - each.loop.plant_at(omega, held=False)
+        seen = self._seen(len(omega)) * (-self._late(omega) / omega**2)[:, None, None] * gain
+        if not inner:
+            return seen
+        position = self.axes.of(seen)
+        for k, each in enumerate(self.loops):
+            position[:, k, k] += each.loop.plant_at(omega) - each.loop.plant_at(omega, held=False)
         return position
 
     def _controllers(self, move: float, slower: np.ndarray | None) -> np.ndarray:
@@ -107,7 +138,7 @@ class AxesLoops(NamedTuple):
 
     def judged(self) -> Judged:
         """All that is checked, with what was written."""
-        return judge(self.gains(self.places()))
+        return self.judge(self.places())
 
     def sensitivities(self) -> dict[str, np.ndarray]:
         """S_O at the sensors and S_I at the actuators, (lines, n, n)."""

@@ -189,13 +189,18 @@ def turns(
 
 
 @checked
-def judge(places: list[Complex128[np.ndarray, "lines n n"]]) -> Judged:
+def judge(
+    places: list[Complex128[np.ndarray, "lines n n"]],
+    alone: list[Complex128[np.ndarray, "lines n"]] | None = None,
+) -> Judged:
     """Stability and peaks of the loop gains L = T_y P T_u K of all axes at once, at places of a box, the middle first.
 
     The loop of each axis alone is known to be stable. Then all are, closed together, if det(I + L) turns around zero
     as often as the product of its diagonal does; this is counted for every set of closed loops in the middle, and for
     all of them elsewhere. S_kk, the error of an axis over its own setpoint while all others are controlled, may reach
-    6 dB, or what it has alone where that is more.
+    6 dB: in the middle as measured, or what the axis has alone there where that is more, and everywhere as the product
+    of what the others make of it and of what it has alone on its model, 1 + L of which is `alone`: in that the noise of
+    the measurement cancels.
     """
     gain = places[0]
     n = gain.shape[1]
@@ -212,9 +217,11 @@ def judge(places: list[Complex128[np.ndarray, "lines n n"]]) -> Judged:
             if count or not enough:
                 unstable.append(kept)
         sizes = np.abs(np.einsum("fii->fi", np.linalg.inv(whole)))
-        alone = np.abs(1 / np.einsum("fii->fi", whole))
-        exceeded.append((sizes / np.maximum(allowed, (1 + 1e-9) * alone)).max(axis=0))
-        box = np.maximum(box, sizes.max(axis=0))
+        own = np.abs(1 / np.einsum("fii->fi", whole))
+        likely = sizes if alone is None else sizes / own / np.abs(alone[number])
+        limit = np.maximum(allowed, (1 + 1e-9) * own) if not number else np.inf
+        exceeded.append(np.maximum(sizes / limit, likely / allowed).max(axis=0))
+        box = np.maximum(box, likely.max(axis=0))
     whole = one + gain
     own = np.einsum("fii->fi", gain)
     bound = np.abs(gain) * (1 - one) / np.abs(1 + own)[:, None, :]  # |E| |T~|

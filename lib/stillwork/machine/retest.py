@@ -119,8 +119,9 @@ def _retest_axes(controller: Path, about: Table, file: str, target: Path, loop_h
     if matrix is None:
         raise InputError(f"{Path(file).name} holds no matrix response; give all entries of the design's")
     closed = AxesLoops.read(controller, about, matrix, loop_hz)
-    omega, alone = closed.lines(), closed.alone()
-    whole = np.eye(len(closed.loops)) + closed.gains([(0.0, np.ones(len(closed.loops)))])[0]
+    omega, middle = closed.lines(), [(0.0, np.ones(len(matrix.inputs)))]
+    (alone,), (gain,) = closed.alone(middle), closed.gains(middle)
+    whole = np.eye(len(closed.loops)) + gain
     count, enough = turns(whole, alone)
     own = np.einsum("fii->fi", np.linalg.inv(whole))
     peaks = {
