@@ -152,7 +152,7 @@ def settle_on_record(
         learning = learn(design, files, name, pause_s, floor, band_hz, spread, (times[0], max(times)))
         run = None if learning.shown else replay(design, files, *around_it)
         excess = learning.excess if run is None else run.excess
-        slower = design.time_constant * min(max((excess / (GOAL * variance)) ** 1.5, SLOWER[0]), SLOWER[1])
+        slower = design.time_constant * float(np.clip(max(excess / (GOAL * variance), 0.0) ** 1.5, *SLOWER))
         if excess <= GOAL * variance or slower > LONGEST_S or left == 0:
             break
         design, around = adapt_slower(design, around, floor, variance, slower, correction)
