@@ -35,7 +35,6 @@ from stillwork.machine.isolation_design import (
     HIGHEST_PHASE,
     HIGHEST_SENSITIVITY_DB,
     LIMIT,
-    LOWEST_HZ,
     PERIODS,
     SLOWEST,
     WITHIN,
@@ -159,16 +158,9 @@ def isolate_file(
         return isolation_code(each.loop, each.settings, *kept, limit, pause, name, precision)
 
     if spectra.record is not None:
-        band = LOWEST_HZ, design.loop.shaping.lowpass_hz
-        given: dict = {
-            "name": name,
-            "limit": limit,
-            "pause_s": pause,
-            "band_hz": band,
-            "correction": correction,
-        }
+        steps: dict = {"name": name, "limit": limit, "pause_s": pause, "variance": variance, "spread": spread}
         design, around, run, learning = settle_on_record(
-            design, around, spectra, written, variance=variance, spread=spread, **given
+            design, around, spectra, written, **steps, correction=correction
         )
     found, files = predict(design, around, spectra, correction), written(design)
     times = [settling_time(each, spectra) for each in (design, *around)]

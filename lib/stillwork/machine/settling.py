@@ -13,6 +13,7 @@ from stillwork.machine import pictures
 from stillwork.machine.isolation import FloorSpectra
 from stillwork.machine.isolation_design import (
     LONGEST_S,
+    LOWEST_HZ,
     WITHIN,
     IsolationDesign,
     adapt_slower,
@@ -140,12 +141,12 @@ def settle_on_record(
     name: str,
     limit: float,
     pause_s: float,
-    band_hz: tuple[float, float],
     variance: float,
     spread: float,
     correction: Callable | None = None,
 ) -> tuple[IsolationDesign, list[IsolationDesign], Replay, Learning]:
     """The design with a time constant with which weights that move add at most `variance` on the record itself, too."""
+    band_hz = LOWEST_HZ, design.loop.shaping.lowpass_hz
     around_it = name, limit, pause_s, floor, band_hz
     for left in reversed(range(TRIES)):
         files, times = written(design), [settling_time(each, floor) for each in (design, *around)]
