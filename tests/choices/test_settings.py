@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 import json
+import math
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -23,7 +24,7 @@ from workbook.choices.settings import (
     printed_entries,
     report,
 )
-from workbook.choices.windows import windows_of
+from workbook.choices.windows import pieces_of, windows_of
 from workbook.claims import load_entries
 
 # A paper of twelve numbers in a notebook: y_k = gain * s(0.3 k)^(1 / order) + k / 10, of one of three shapes s.
@@ -58,13 +59,13 @@ def value(k, shape, order, gain):
 def paper(workbook, tmp_path):
     """Writes the paper with these printed numbers, and finds its settings."""
 
-    def find(printed, choices=CHOICES):
+    def find(printed, choices=CHOICES, sources=CELLS):
         ledger = "\n".join(map(ENTRY.format, NAMES, printed))
         _, multiverses = workbook(choices, ledger)
         tags = [[], ["parameters"], []]
         cells = [
             {"cell_type": "code", "metadata": {"tags": tag}, "source": source}
-            for tag, source in zip(tags, CELLS, strict=True)
+            for tag, source in zip(tags, sources, strict=True)
         ]
         file = tmp_path / "notebooks" / "motion" / "01-toy.ipynb"
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -127,6 +128,84 @@ def test_two_hidden_settings_between_the_options_are_found(paper):
     assert np.abs([value(k, "decay", *found) for k in range(1, 13)] - printed).max() <= 0.005
 
 
+# Twelve numbers each that turn round, hardly move, jump, or move in a small part of the range only.
+CURVES = {
+    "wave": lambda k, gain: math.exp(-gain * k / 12) * math.cos(gain * k),
+    "peak": lambda k, gain: k / (1 + ((gain - 0.5 - 0.2 * k) / 0.12) ** 2),
+    "plateau": lambda k, gain: min(max(gain * k / 8, 0.5), 1.5) + k / 10,
+    "step": lambda k, gain: math.floor(4 * gain + k / 12) / 4,
+}
+BLIND = [
+    "import math\npage = None",
+    "shape: str = 'wave'  # of the curve\ngain: float = 1.0  # of it",
+    "from choices.test_settings import CURVES\n"
+    "for k in range(1, 13):\n    page.check(f'motion.table-1.y{k}', CURVES[shape](k, gain))",
+]
+BLIND_CHOICES = (
+    axis("shape", json.dumps([*CURVES]), '"wave"', "text", TOUCHES)
+    + axis("gain", [1.0, 2.0], 1.0, touches=TOUCHES)
+    + STUDY
+)
+
+
+@pytest.mark.parametrize("shape", CURVES)
+def test_a_blind_paper_has_its_hidden_setting_found(paper, shape):
+    """Of several shapes, drawn at random; each window by brute force, but for what is narrower than a step and turns sharply."""
+    for seed in range(3):
+        hidden = np.random.default_rng([seed, len(shape)]).uniform(0.6, 2.9)
+        printed = [round(CURVES[shape](k, hidden), 2) for k in range(1, 13)]
+        windows, joint = paper(printed, BLIND_CHOICES, BLIND)
+        assert (joint.agree, joint.best["shape"]) == (12, shape), hidden
+        found = float(joint.best["gain"])
+        assert all(abs(CURVES[shape](k, found) - y) <= 0.00501 for k, y in enumerate(printed, 1))
+        gains = np.linspace(0.5, 3.0, 40001)
+        for each in (one for one in windows if dict(one.others)["shape"] == shape):
+            k = int(each.number.rpartition("y")[2])
+            inside = np.abs(np.array([CURVES[shape](k, x) for x in gains]) - printed[k - 1]) <= 0.005
+            ours = np.any([(low <= gains) & (gains <= high) for low, high in each.pieces], axis=0)
+            differs = np.flatnonzero(inside != ours)
+            # Runs of points that differ: an end between two points, or a window that hides between two searched values.
+            for run in np.split(differs, np.flatnonzero(np.diff(differs) > 1) + 1) if len(differs) else ():
+                narrow = float(each.step) * (shape == "peak")
+                assert gains[run[-1]] - gains[run[0]] <= max(narrow, 2e-4), (hidden, each)
+
+
+def test_a_window_is_found_where_a_value_turns_within_a_cell():
+    """Parabolas that enter what agrees between two of the searched values, from outside and from inside."""
+    for seed in range(50):
+        place, width = np.random.default_rng(seed).uniform([1.1, 1e-4], [8.9, 0.4])
+        grid = np.linspace(0.0, 10.0, 11).tolist()
+
+        def outside(x, place=place, width=width):
+            above = (x - place) ** 2 - width**2
+            return above, -above - 100
+
+        (found,) = pieces_of(outside, grid)
+        assert found == pytest.approx((place - width, place + width), abs=2e-4)
+        gaps = pieces_of(lambda x: (-outside(x)[0], -100.0), grid)
+        ends = np.ravel([(0.0, place - width), (place + width, 10.0)])
+        assert np.ravel(gaps) == pytest.approx(ends, abs=2e-4)
+
+
+def test_ends_and_middles_of_a_window_agree():
+    """Of a value that jumps at random between the searched ones, too: what disagrees is cut out where it is met."""
+    for seed in range(20):
+        jumps = np.sort(np.random.default_rng(seed).uniform(0, 1, 30))
+        asked = {}
+
+        def outside(x, jumps=jumps, asked=asked):
+            asked[x] = (-1.0, 0.0 if np.searchsorted(jumps, x) % 2 else 1.0)
+            return asked[x]
+
+        found = pieces_of(outside, np.linspace(0, 1, 25).tolist())
+        for low, high in found:
+            for x in (low, high, (low + high) / 2):
+                assert outside(x)[1] == 0.0
+        for x, (_, below) in asked.items():
+            near = any(abs(x - end) < 2e-5 for piece in found for end in piece)
+            assert near or (below == 0.0) == any(low <= x <= high for low, high in found)
+
+
 def test_numbers_of_two_settings_are_explained_by_none(paper):
     first = [value(k, "ramp", 2, 0.83) for k in range(1, 8)]
     _, joint = paper([*first, *(value(k, "sine", 3, 2.41) for k in range(8, 13))])
@@ -139,43 +218,98 @@ def test_numbers_of_two_settings_are_explained_by_none(paper):
 
 
 def random_numbers(rng):
-    """Numbers of up to three of five choices, half of their settings agreeing, with what was not tried left out."""
+    """Numbers of up to three of five choices, a third of their settings agreeing, some not computed."""
     options = {name: [f"{name}{k}" for k in range(3)] for name in "abcde"}
     numbers = []
     for k in range(12):
         axes = tuple(sorted(rng.choice(list(options), rng.integers(1, 4), replace=False).tolist()))
-        whole = itertools.product(*(options[name] for name in axes))
-        agrees = {setting: bool(rng.random() < 0.3) for setting in whole if rng.random() < 0.8}
+        agrees = rng.choice([-1, 0, 1], [3] * len(axes), p=[0.2, 0.5, 0.3]).astype(np.int8)
         numbers.append(Number(f"n{k}", axes, agrees))
     return numbers, options
 
 
-@pytest.mark.parametrize("factorial", [5e7, 0])
-def test_the_best_joint_settings_are_those_of_brute_force(monkeypatch, factorial):
-    """Most numbers at once, and with every single option held; by one choice after the other, too."""
-    monkeypatch.setattr(settings, "FACTORIAL", factorial)
-    for seed in range(5):
+def table_of(number, options):
+    """Whether it agrees, by the options of its axes; what was not computed is missing."""
+    places = itertools.product(*(range(len(options[axis])) for axis in number.axes))
+    by_places = {at: int(number.agrees[at]) for at in places if number.agrees[at] >= 0}
+    return {
+        tuple(options[a][k] for a, k in zip(number.axes, at, strict=True)): v for at, v in by_places.items()
+    }
+
+
+def test_the_best_joint_settings_are_those_of_brute_force():
+    """Most numbers at once, with every single option held, and where axes must be equal."""
+    for seed in range(8):
         numbers, options = random_numbers(np.random.default_rng(seed))
-        scores = {
-            each: sum(n.agrees.get(tuple(each["abcde".index(a)] for a in n.axes), False) for n in numbers)
-            for each in itertools.product(*options.values())
-        }
-        joint = best_joint(numbers, options, {name: texts[0] for name, texts in options.items()})
-        assert joint.agree == scores[tuple(joint.best.values())] == max(scores.values())
+        tables = {n.id: table_of(n, options) for n in numbers}
+        settings_of = list(itertools.product(*options.values()))
+        found = [
+            [tables[n.id].get(tuple(each["abcde".index(a)] for a in n.axes)) for n in numbers]
+            for each in settings_of
+        ]
+        scores = {each: sum(v == 1 for v in row) for each, row in zip(settings_of, found, strict=True)}
+        joint = best_joint(numbers, options, dict.fromkeys(options, 0))
+        best = tuple(joint.best.values())
+        assert joint.agree == scores[best] == max(scores.values())
+        moved = [sum(not o.endswith("0") for o in each) for each, n in scores.items() if n == joint.agree]
+        assert sum(not o.endswith("0") for o in best) == min(moved)
+        if joint.tried == len(scores):  # all axes are linked
+            assert joint.whole == sum(None not in row for row in found)
         for one in joint.settings:
-            held = max(score for each, score in scores.items() if one.option in each)
-            assert one.agree == held or (not factorial and one.agree < held)  # a climb may end below
+            assert one.agree == max(score for each, score in scores.items() if one.option in each)
             touched = [n for n in numbers if one.axis in n.axes]
-            yes = [n.id for n in touched if any(one.option in s for s, agrees in n.agrees.items() if agrees)]
-            some = [n.id for n in touched if any(n.agrees.values())]
+            yes = [n.id for n in touched if any(one.option in s for s, v in tables[n.id].items() if v)]
+            some = [n.id for n in touched if any(tables[n.id].values())]
             by_all = [
                 n.id
                 for n in touched
-                if all(any(o in s for s, agrees in n.agrees.items() if agrees) for o in options[one.axis])
+                if all(any(o in s for s, v in tables[n.id].items() if v) for o in options[one.axis])
             ]
             assert one.supports == tuple(name for name in yes if name not in by_all)
             assert one.contradicts == tuple(name for name in some if name not in yes)
             assert one.indifferent == len(touched) - len(one.supports) - len(one.contradicts)
+
+
+@pytest.mark.parametrize("axes", ["ab", "ace"])
+def test_axes_that_must_be_equal_have_the_best_of_brute_force(axes):
+    """The same options on all of them, but for one that the last axis lacks."""
+    for seed in range(8):
+        numbers, options = random_numbers(np.random.default_rng(seed))
+        options |= {name: ["0", "1", "2"] for name in axes}
+        options[axes[-1]] = ["0", "3", "2"]
+        tables = {n.id: table_of(n, options) for n in numbers}
+        free = {name: texts for name, texts in options.items() if name not in axes}
+        by_option = {}
+        for same in ("0", "2"):
+            for each in itertools.product(*free.values()):
+                chosen = dict(zip(free, each, strict=True)) | dict.fromkeys(axes, same)
+                score = sum(tables[n.id].get(tuple(chosen[a] for a in n.axes), 0) for n in numbers)
+                by_option[same] = max(by_option.get(same, 0), score)
+        assert settings.as_one(axes, numbers, options, dict.fromkeys(options, 0)) == by_option
+
+
+def test_the_last_axis_of_many_is_eliminated_exactly():
+    """A chain of twelve choices, which no table of all their combinations has to hold."""
+    rng = np.random.default_rng(3)
+    names = [f"x{k:02}" for k in range(12)]
+    tables = [((a, b), rng.integers(0, 9, (3, 3))) for a, b in itertools.pairwise(names)]
+    whole = np.zeros([3] * 12, int)
+    for k, (_, table) in enumerate(tables):
+        whole += table.reshape([3 if j in (k, k + 1) else 1 for j in range(12)])
+    value, places = settings.eliminate(tables, np.add, np.max)
+    assert value == whole.max() == whole[tuple(places[name] for name in names)]
+    assert (
+        settings.eliminate(tables, np.multiply, np.sum)[0]
+        == np.linalg.multi_dot([t for _, t in tables]).sum()
+    )
+    wide = [(tuple("abcdefghi"), np.zeros([10] * 6 + [2, 1, 1]))]
+    assert settings.eliminate(wide, np.add, np.max)[0] == 0
+    with pytest.raises(InputError, match="declare fewer options"):
+        settings.eliminate(
+            [(("a",), np.zeros(9000)), (("b",), np.zeros(9000)), (("a", "b"), np.zeros((9000, 9000), bool))],
+            np.add,
+            np.max,
+        )
 
 
 def test_half_a_printed_digit_may_be_finer_than_the_tolerance(workbook):
@@ -190,6 +324,7 @@ def test_half_a_printed_digit_may_be_finer_than_the_tolerance(workbook):
     [
         ("{ gain = [2.0, 1.0] }", r"^studies.toy: windows: high end of gain\b"),
         ("{ gain = 1.0 }", r"give \[low, high\]"),
+        ("{ gain = [1.0, 2.0, 0.5] }", r"^studies.toy: windows: cells of gain\b"),
         ("{ shape = [0, 1] }", r"^studies.toy: windows\b.*gain"),
     ],
 )

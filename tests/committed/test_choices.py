@@ -1,11 +1,16 @@
 """Committed combinations are of the committed axes, and what the code gives now is what stands there."""
 
+import json
+import math
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from committed.again import compute_again
 from workbook import paths
-from workbook.choices.axes import Multiverse, load_axes
+from workbook.choices.axes import Axis, Multiverse, load_axes
 from workbook.choices.checking import moves, note, parts_a_day, today
 from workbook.choices.command import robustness_of
 from workbook.choices.kept import read_settings, settings_text
@@ -58,6 +63,50 @@ def test_those_whose_turn_it_is_today_come_out_again(topic, part):
 def test_every_axis_that_moves_an_entry_says_so(topic):
     moved = {name: standing.undeclared for name, standing in robustness_of(topic).items()}
     assert not {name: axes for name, axes in moved.items() if axes}
+
+
+def notebook_of(multiverse: Multiverse) -> Path | None:
+    """The notebook whose defaults a study has: itself, or the one beside its module."""
+    module, colon, _ = multiverse.function.partition(":")
+    stem = module.rpartition("." if colon else "/")[2]
+    found = (paths.root() / "notebooks" / multiverse.topic).glob("*.ipynb")
+    return next((file for file in found if stem in (file.stem, file.stem[3:].replace("-", "_"))), None)
+
+
+def names(line: str, axis: Axis, option: str) -> bool:
+    """Whether a line that speaks of joint settings names the option: its number, or a word of it or of the choice's name."""
+    if all(isinstance(each, int | float) and not isinstance(each, bool) for each in axis.options):
+        numbers = map(float, re.findall(r"\d+\.?\d*(?:e[+-]?\d+)?", line))
+        return any(math.isclose(float(option), each) for each in numbers)
+    words = re.findall(r"[a-z]{4,}|\d+", f"{option} {axis.name}".lower())
+    return option in line or bool(set(words) & set(re.findall(r"[a-z]{4,}|\d+", line.lower())))
+
+
+@pytest.mark.parametrize("topic", paths.topics())
+def test_a_notebook_whose_default_loses_numbers_names_the_joint_setting(topic):
+    """In a line on joint settings, or in a sentence that it or its module computes from settings.csv."""
+    kept, missing = read_settings(topic), set()
+    for multiverse in studies(topic) if kept else ():
+        if (file := notebook_of(multiverse)) is None:
+            continue
+        module = file.with_name(file.stem[3:].replace("-", "_") + ".py")
+        cells = json.loads(file.read_text(encoding="utf-8"))["cells"]
+        text = "\n".join("".join(cell["source"]) for cell in cells)
+        text += module.read_text(encoding="utf-8") if module.exists() else ""
+        said = [line for line in text.split("\n") if re.search(r"joint settings?\b|settings\.csv", line)]
+        for axis in multiverse.axes:
+            option, default = kept.best[axis.name], axis.texts[axis.default_index]
+            mine = [each for each in kept.settings if (each.axis, each.option) == (axis.name, default)]
+            computed = re.search(r"read_joint|wanted\(", text) and f'"{axis.name}"' in text
+            if (
+                mine[0].agree < kept.agree
+                and not computed
+                and not any(names(line, axis, option) for line in said)
+            ):
+                missing.add(
+                    f"{topic}/{file.stem}: {axis.name} is not {option}, the joint setting; say why there"
+                )
+    assert not missing, "\n".join(sorted(missing))
 
 
 SETTINGS = [topic for topic in paths.topics() if paths.data(topic, "settings.csv").exists()]

@@ -186,7 +186,7 @@ def test_a_topic_has_a_page_of_what_its_paper_must_have_used(files):
     assert best == {axis: html.escape(option) for axis, option in joint.best.items() if axis in telling}
     for each in joint.windows:
         for low, high in each.pieces:
-            assert f"{low:g} to {high:g}" in text
+            assert f"{low:.12g} to {high:.12g}" in text
     axes, _ = load_axes("motion")
     for axis in telling:
         assert f"{axis} <small>{axes[axis].question}</small>" in html.unescape(text)

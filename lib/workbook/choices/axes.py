@@ -21,6 +21,7 @@ from workbook.checks import (
 from workbook.claims import load_entries
 
 AXIS_KINDS = ("text", "number", "definition", "procedure", "seed")
+CELLS = 24  # of the range of a window, where the study does not say how many
 POINTS = 64  # up to so many points all are tried, and so many are sampled of more
 
 Option = str | int | float | bool
@@ -134,9 +135,9 @@ class Multiverse:
         What the lean form of the study leaves out and what difference that makes; empty without a lean form.
     points : int
         Size of the sample where the axes have more than 64 combinations.
-    windows : dict of str to tuple of float
+    windows : dict of str to tuple of float, float and int
         Of axes with numbers for options, where others could stand between them, the range that
-        `workbook.choices.windows` searches with this study.
+        `workbook.choices.windows` searches with this study, and into how many cells it divides it first.
     """
 
     topic: str
@@ -149,7 +150,7 @@ class Multiverse:
     touched: dict[str, frozenset[str]] = field(default_factory=dict)
     lean: str = ""
     points: int = POINTS
-    windows: dict[str, tuple[float, float]] = field(default_factory=dict)
+    windows: dict[str, tuple[float, float, int]] = field(default_factory=dict)
 
     @property
     def size(self) -> int:
@@ -292,17 +293,16 @@ def _multiverse(
     )
 
 
-def _windows(name: str, given, axes: list[Axis]) -> dict[str, tuple[float, float]]:
-    found, known = (
-        {},
-        [axis.name for axis in axes if all(isinstance(each, int | float) for each in axis.options)],
-    )
+def _windows(name: str, given, axes: list[Axis]) -> dict[str, tuple[float, float, int]]:
+    numeric = [axis for axis in axes if all(isinstance(each, int | float) for each in axis.options)]
+    found = {}
     for key, ends in given.items():
-        require_choice(name, key, known)
-        if not isinstance(ends, list) or len(ends) != 2:
-            raise InputError(f"{name}: {key} is {ends!r}; give [low, high]")
+        require_choice(name, key, [axis.name for axis in numeric])
+        if not isinstance(ends, list) or len(ends) not in (2, 3):
+            raise InputError(f"{name}: {key} is {ends!r}; give [low, high] or [low, high, cells]")
         low = require_number(f"{name}: low end of {key}", ends[0])
-        found[key] = (low, require_number(f"{name}: high end of {key}", ends[1], above=low))
+        high = require_number(f"{name}: high end of {key}", ends[1], above=low)
+        found[key] = (low, high, require_count(f"{name}: cells of {key}", [*ends, CELLS][2], at_least=2))
     return found
 
 

@@ -5,7 +5,7 @@ import io
 import json
 from collections import defaultdict
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from workbook import paths
@@ -22,6 +22,9 @@ class Window:
     ----------
     axis, number : str
         Name of the choice, id of the entry.
+    step : str
+        Distance of the values that were searched at least, in the choice's unit or in per cent; `pieces` may lack what
+        is narrower and where the value turns round too sharply to be seen from its neighbours.
     others : tuple of (str, str)
         Axis and option of the other choices that move it.
     pieces : tuple of (float, float)
@@ -30,6 +33,7 @@ class Window:
 
     axis: str
     number: str
+    step: str
     others: tuple[tuple[str, str], ...]
     pieces: Pieces
 
@@ -68,21 +72,31 @@ class Joint:
     ----------
     agree, numbers : int
         Printed numbers that agree at once, of how many.
-    tried : int
-        Combinations among which it is the best.
     settings : tuple of Setting
     lost, never : tuple of str
         Numbers that agree under other settings only; that no setting explains.
+    tried, whole : int
+        Combinations among which it is the best; those of them for which every number was computed. In the others those
+        that were not computed count as not agreeing.
+    computed, possible : int
+        Combinations of single studies that were computed, and how many there are.
     windows : tuple of Window
+    equal : dict of str to dict of str to int
+        Of each wording in ``paper.toml`` for choices that are one setting of the paper, how many numbers agree at
+        once, at most, by the option that all of these choices have then.
     """
 
     agree: int
     numbers: int
-    tried: int
     settings: tuple[Setting, ...]
     lost: tuple[str, ...]
     never: tuple[str, ...]
+    tried: int = 1
+    whole: int = 1
+    computed: int = 1
+    possible: int = 1
     windows: tuple[Window, ...] = ()
+    equal: dict[str, dict[str, int]] = field(default_factory=dict)
 
     @property
     def best(self) -> dict[str, str]:
@@ -94,16 +108,19 @@ def settings_text(joint: Joint) -> str:
     """Text of ``settings.csv``: a row begins with what it is."""
     text = io.StringIO()
     write = csv.writer(text, lineterminator="\n").writerow
-    write(["joint", joint.agree, joint.numbers, joint.tried])
+    counts = (joint.agree, joint.numbers, joint.tried, joint.whole, joint.computed, joint.possible)
+    write(["joint", *counts])
     for each in joint.settings:
         lists = [" ".join(each.supports), " ".join(each.contradicts)]
         write(["setting", each.axis, each.option, int(each.best), each.agree, *lists, each.indifferent])
+    for says, agree in joint.equal.items():
+        write(["equal", says, json.dumps(agree, ensure_ascii=False)])
     for kind, names in {"lost": joint.lost, "never": joint.never}.items():
         for name in names:
             write([kind, name])
     for each in joint.windows:
-        held = json.dumps(dict(each.others), ensure_ascii=False)
-        write(["window", each.axis, each.number, held, *(end for piece in each.pieces for end in piece)])
+        others = json.dumps(dict(each.others), ensure_ascii=False)
+        write(["window", each.axis, each.number, each.step, others, json.dumps(each.pieces)])
     return text.getvalue()
 
 
@@ -123,13 +140,13 @@ def read_joint(file: Path) -> Joint:
         for axis, option, best, agree, yes, no, rest in rows["setting"]
     ]
     windows = [
-        Window(axis, number, tuple(json.loads(held).items()), tuple(zip(ends[::2], ends[1::2], strict=True)))
-        for axis, number, held, *texts in rows["window"]
-        for ends in [[float(text) for text in texts]]
+        Window(*names, tuple(json.loads(others).items()), tuple(map(tuple, json.loads(pieces))))
+        for *names, others, pieces in rows["window"]
     ]
     lost, never = (tuple(name for (name,) in rows[kind]) for kind in ("lost", "never"))
-    agree, numbers, tried = map(int, rows["joint"][0])
-    return Joint(agree, numbers, tried, tuple(settings), lost, never, tuple(windows))
+    agree, numbers, *tries = map(int, rows["joint"][0])
+    equal = {says: json.loads(by_option) for says, by_option in rows["equal"]}
+    return Joint(agree, numbers, tuple(settings), lost, never, *tries, tuple(windows), equal)
 
 
 def wanted(file: Path, axes: Iterable[str], never: Iterable[str] = ()) -> list[str]:

@@ -6,26 +6,30 @@ this search is calibrated, never predicted, and the count of tries stands beside
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from itertools import pairwise, product
 
 import numpy as np
 
 from workbook import paths
+from workbook.checks import InputError, read_toml, require_choice
 from workbook.choices.axes import load_axes, load_digits, option_text
 from workbook.choices.judging import judge
 from workbook.choices.kept import Joint, Setting, Window, settings_text
 from workbook.choices.results import read_results
-from workbook.choices.running import Journal
-from workbook.choices.windows import windows_of
+from workbook.choices.running import Journal, design
+from workbook.choices.windows import meet, windows_of
 from workbook.claims import Entry, Tolerance, ledger, load_entries
 from workbook.lock import held
 from workbook.publish import replace_file
 from workbook.workers import cores, processes
 
-FACTORIAL = 5e7  # combinations of linked choices up to which all are tried
-RESTARTS = 300  # of the search by one choice after the other, beyond
+LARGEST = 5e7  # combinations of the choices that are linked at a time, while one of them is maximised out
+AGREES = 1000  # of a score, whose rest counts the choices that differ from their defaults
+
+Table = tuple[tuple[str, ...], np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -36,21 +40,21 @@ class Number:
     ----------
     id : str
     axes : tuple of str
-    agrees : dict of tuple of str to bool
-        By the option of each axis; what was not tried is missing.
+    agrees : ndarray of int8, an axis for each of `axes`
+        1 where it agrees, 0 where it does not, -1 where that was not computed.
     """
 
     id: str
     axes: tuple[str, ...]
-    agrees: dict[tuple[str, ...], bool]
+    agrees: np.ndarray
 
-    def allowed(self, axis: str) -> set[str]:
-        """Options of an axis with which it agrees under some setting of the others."""
-        place = self.axes.index(axis)
-        return {setting[place] for setting, agrees in self.agrees.items() if agrees}
+    def by(self, axis: str) -> np.ndarray:
+        """`agrees` with a row for each option of one of its axes."""
+        rows = np.moveaxis(self.agrees, self.axes.index(axis), 0)
+        return rows.reshape(len(rows), -1)
 
-    def at(self, chosen: dict[str, str]) -> bool:
-        return self.agrees.get(tuple(chosen[axis] for axis in self.axes), False)
+    def at(self, places: dict[str, int]) -> bool:
+        return bool(self.agrees[tuple(places[axis] for axis in self.axes)] == 1)
 
 
 def printed_entries(topic: str) -> dict[str, Entry]:
@@ -78,43 +82,67 @@ def compute_settings(topic: str | None = None, *, jobs: int | None = None) -> li
     return lines
 
 
-def joint_settings(topic: str, windows: Iterable[Window]) -> Joint:
+def joint_settings(topic: str, windows: Sequence[Window]) -> Joint:
     """The best joint settings by the committed combinations and these windows."""
+    axes, multiverses = load_axes(topic)
+    options = {axis.name: list(axis.texts) for axis in axes.values() if axis.kind != "seed"}
+    declared = {axis: len(texts) for axis, texts in options.items()}
+    defaults = {axis: axes[axis].default_index for axis in options}
+    for axis, text in [*(pair for each in windows for pair in each.others), *_between(windows)]:
+        options[axis] += [text] * (text not in options[axis])
+    numbers, found = _numbers(topic), {each.number for each in windows}
+    between = [_with_windows(number, windows, options) for number in numbers if number.id in found]
+    for axis in dict.fromkeys(each.axis for each in windows):
+        kept = _undominated(axis, declared[axis], len(options[axis]), between)
+        between = [_kept(number, axis, kept) for number in between]
+        options[axis] = [options[axis][k] for k in kept]
+    numbers = [_with_windows(number, windows, options) for number in numbers]
+    joint = best_joint(numbers, options, defaults)
+    shown = [each for each in joint.settings if each.best or each.option in axes[each.axis].texts]
+    return replace(
+        joint,
+        settings=tuple(shown),
+        windows=tuple(windows),
+        computed=sum(len(design(each)) for each in multiverses),
+        possible=sum(each.size for each in multiverses),
+        equal={
+            says: as_one(mine, numbers, options, defaults) for says, mine in _equal(topic, options).items()
+        },
+    )
+
+
+def _equal(topic: str, options: Iterable[str]) -> dict[str, list[str]]:
+    """Choices that are one setting of the paper, by the words that ``paper.toml`` has for it."""
+    file = paths.data(topic, "paper.toml")
+    given = read_toml(file).get("equal", {}) if file.exists() else {}
+    for axis in (each for mine in given.values() for each in mine):
+        require_choice(f"{file}: equal", axis, options)
+    return given
+
+
+def _numbers(topic: str) -> list[Number]:
+    """What the ledger judges, by the committed combinations."""
     axes, multiverses = load_axes(topic)
     entries = printed_entries(topic)
     claims = {each.entry.id: replace(each, entry=entries[each.entry.id]) for each in ledger(topic=topic)}
-    options = {axis.name: list(axis.texts) for axis in axes.values() if axis.kind != "seed"}
-    held = (pair for each in windows for pair in each.others)
-    between = ((axis, option_text(x)) for axis, values in _between(windows).items() for x in values)
-    for axis, text in (*held, *between):
-        options[axis] += [text] * (text not in options[axis])
     numbers = []
     for name, one in judge(read_results(multiverses), entries, axes, claims).items():
-        if one.agree is None or not one.entry.is_replication:
+        if not one.entry.is_replication or replace(claims[name], over=one).verdict == "not judged":
             continue
         known = ~one.failed
         agrees = (2 * one.agrees.sum(axis=1) >= known.sum(axis=1)) & known.any(axis=1)
-        texts = [tuple(a.texts[k] for a, k in zip(one.options, each, strict=True)) for each in one.settings]
-        found = Number(
-            name, tuple(a.name for a in one.options), dict(zip(texts, agrees.tolist(), strict=True))
-        )
-        numbers.append(_with_windows(found, [each for each in windows if each.number == name], options))
-    defaults = {axis.name: axis.texts[axis.default_index] for axis in axes.values() if axis.name in options}
-    for axis, texts in options.items():
-        if len(texts) > len(axes[axis].texts):
-            options[axis] = _undominated(axis, texts, len(axes[axis].texts), numbers)
-            numbers = [_kept(number, axis, options[axis]) for number in numbers]
-    joint = best_joint(numbers, options, defaults)
-    shown = [each for each in joint.settings if each.best or each.option in axes[each.axis].texts]
-    return replace(joint, settings=tuple(shown), windows=tuple(windows))
+        table = np.full([len(axis.texts) for axis in one.options], -1, np.int8)
+        table[(..., *np.array(one.settings, int).reshape(len(agrees), -1).T)] = agrees
+        numbers.append(Number(name, tuple(axis.name for axis in one.options), table))
+    return numbers
 
 
-def _between(windows: Iterable[Window]) -> dict[str, list[float]]:
+def _between(windows: Iterable[Window]) -> Iterable[tuple[str, str]]:
     """One value of each axis in every cell between neighbouring ends of its windows, with as few digits as tell it apart."""
     ends = defaultdict(set)
     for each in windows:
         ends[each.axis] |= {end for piece in each.pieces for end in piece}
-    return {axis: [_short(*cell) for cell in pairwise(sorted(found))] for axis, found in ends.items()}
+    return ((axis, option_text(_short(*cell))) for axis in ends for cell in pairwise(sorted(ends[axis])))
 
 
 def _short(low: float, high: float) -> float:
@@ -122,44 +150,46 @@ def _short(low: float, high: float) -> float:
     return next((x for d in range(1, 9) if low < (x := float(f"{middle:.{d}g}")) < high), middle)
 
 
-def _with_windows(number: Number, windows: list[Window], options: dict[str, list[str]]) -> Number:
-    """With the settings between the declared ones, of which its windows decide."""
-    agrees = dict(number.agrees)
-    for each in windows:
-        place = number.axes.index(each.axis)
-        for setting in list(agrees):
-            chosen = dict(zip(number.axes, setting, strict=True))
-            if all(chosen[axis] == option for axis, option in each.others):
-                for text in options[each.axis]:
-                    inside = any(low <= float(text) <= high for low, high in each.pieces)
-                    agrees.setdefault((*setting[:place], text, *setting[place + 1 :]), inside)
-    return replace(number, agrees=agrees)
+def _with_windows(number: Number, windows: Iterable[Window], options: dict[str, list[str]]) -> Number:
+    """With all options of its axes, the declared ones first, of which its windows decide where none was computed."""
+    more = [(0, len(options[a]) - k) for a, k in zip(number.axes, number.agrees.shape, strict=True)]
+    table = np.pad(number.agrees, more, constant_values=-1) if more else number.agrees
+    for each in (one for one in windows if one.number == number.id):
+        held = dict(each.others)
+        at = tuple(
+            options[axis].index(held[axis]) if axis in held else slice(None)
+            for axis in number.axes
+            if axis != each.axis
+        )
+        rows = np.moveaxis(table, number.axes.index(each.axis), 0)
+        for k, text in enumerate(options[each.axis]):
+            inside = any(low <= float(text) <= high for low, high in each.pieces)
+            rows[k, *at] = np.where(rows[k, *at] < 0, inside, rows[k, *at])
+    return replace(number, agrees=table)
 
 
-def _undominated(axis: str, texts: list[str], declared: int, numbers: list[Number]) -> list[str]:
+def _undominated(axis: str, declared: int, count: int, numbers: list[Number]) -> list[int]:
     """The declared options, and of the others those with which more agrees, or other numbers, than with any that is kept."""
-    agreeing = {text: set() for text in texts}
-    for number in numbers:
-        place = number.axes.index(axis) if axis in number.axes else None
-        for setting, agrees in number.agrees.items() if place is not None else ():
-            if agrees:
-                agreeing[setting[place]].add((number.id, *setting[:place], *setting[place + 1 :]))
-    kept = texts[:declared]
-    for text in sorted(texts[declared:], key=lambda text: -len(agreeing[text])):
-        if not any(agreeing[text] <= agreeing[other] for other in kept):
-            kept.append(text)
+    kept = list(range(declared))
+    if count > declared:
+        agree = np.hstack([number.by(axis) == 1 for number in numbers if axis in number.axes])
+        for k in sorted(range(declared, count), key=lambda k: -agree[k].sum()):
+            if not any((agree[k] <= agree[other]).all() for other in kept):
+                kept.append(k)
     return kept
 
 
-def _kept(number: Number, axis: str, texts: list[str]) -> Number:
+def _kept(number: Number, axis: str, kept: list[int]) -> Number:
     """With these options of an axis alone."""
     if axis not in number.axes:
         return number
-    place = number.axes.index(axis)
-    return replace(number, agrees={each: one for each, one in number.agrees.items() if each[place] in texts})
+    return replace(number, agrees=number.agrees.take(kept, number.axes.index(axis)))
 
 
-def best_joint(numbers: list[Number], options: dict[str, list[str]], defaults: dict[str, str]) -> Joint:
+# === Most numbers at once =========================================================================================
+
+
+def best_joint(numbers: list[Number], options: dict[str, list[str]], defaults: dict[str, int]) -> Joint:
     """Most numbers at once; among equals the settings nearest to the defaults.
 
     Parameters
@@ -167,59 +197,59 @@ def best_joint(numbers: list[Number], options: dict[str, list[str]], defaults: d
     numbers : list of Number
     options : dict of str to list of str
         By axis.
-    defaults : dict of str to str
+    defaults : dict of str to int
+        Places of the options.
 
     Returns
     -------
     Joint
-        Every combination is tried of choices that numbers link, where these are at most fifty million; else one choice
-        after the other is moved, from the defaults and from hundreds of settings that explain some number.
+        Of all combinations of choices that numbers link: one choice after the other is maximised out.
     """
-    reduced = [_without_idle(number, options) for number in numbers]
-    best, at_most, tried = dict(defaults), {}, 1
-    for names in _linked(reduced):
-        mine = [number for number in reduced if number.axes and number.axes[0] in names]
-        few = math.prod(len(options[name]) for name in names) <= FACTORIAL
-        some, counts, count = (_factorial if few else _climbed)(mine, options, defaults, names)
-        best, at_most, tried = best | some, at_most | counts, tried + count
+    moving = [_without_idle(number) for number in numbers]
+    best, loses, tried, whole = dict(defaults), {}, 0, 0
+    for names in _linked(moving):
+        mine = [number for number in moving if number.axes and number.axes[0] in names]
+        scores: dict[tuple[str, ...], np.ndarray] = {
+            (axis,): -np.not_equal(range(len(options[axis])), defaults[axis]).astype(np.int32)
+            for axis in names
+        }
+        for each in mine:
+            scores[each.axes] = scores.get(each.axes, 0) + np.int32(AGREES) * (each.agrees == 1)
+        score, places = eliminate(list(scores.items()), np.add, np.max)
+        best |= places
+        for axis in names:
+            held = (_held(scores, axis, k) for k in range(len(options[axis])))
+            loses[axis] = [_agreeing(score) - _agreeing(eliminate(each, np.add, np.max)[0]) for each in held]
+        tried += math.prod(len(options[axis]) for axis in names)
+        known = [(each.axes, (each.agrees >= 0).astype(np.int64)) for each in mine]
+        whole += eliminate(known, np.multiply, np.sum)[0]
     agree = sum(number.at(best) for number in numbers)
     settings = []
     for axis, texts in options.items():
-        touched = [number for number in numbers if axis in number.axes]
-        allowed = {number.id: number.allowed(axis) for number in touched}
-        divided = {name: found for name, found in allowed.items() if 0 < len(found) < len(texts)}
-        top = max(at_most[axis].values(), default=0) if axis in at_most else 0
-        for text in texts:
-            loses = top - at_most[axis][text] if axis in at_most else 0
-            settings.append(
-                Setting(
-                    axis,
-                    text,
-                    text == best[axis],
-                    agree - loses,
-                    tuple(name for name, found in divided.items() if text in found),
-                    tuple(name for name, found in divided.items() if text not in found),
-                    len(touched) - len(divided),
-                )
-            )
-    never = tuple(number.id for number in numbers if not any(number.agrees.values()))
+        touched = {each.id: (each.by(axis) == 1).any(axis=1) for each in numbers if axis in each.axes}
+        divided = {name: under for name, under in touched.items() if 0 < under.sum() < len(texts)}
+        for k, text in enumerate(texts):
+            supports = tuple(name for name, under in divided.items() if under[k])
+            contradicts = tuple(name for name, under in divided.items() if not under[k])
+            most, rest = agree - loses.get(axis, [0] * len(texts))[k], len(touched) - len(divided)
+            settings.append(Setting(axis, text, k == best[axis], most, supports, contradicts, rest))
+    never = tuple(number.id for number in numbers if not (number.agrees == 1).any())
     lost = tuple(n.id for n in numbers if not n.at(best) and n.id not in never)
-    return Joint(agree, len(numbers), tried, tuple(settings), lost, never)
+    return Joint(agree, len(numbers), tuple(settings), lost, never, max(tried, 1), max(whole, 1))
 
 
-def _without_idle(number: Number, options: dict[str, list[str]]) -> Number:
-    """Without the choices that do not move it, where all its settings were tried."""
-    if len(number.agrees) < math.prod(len(options[axis]) for axis in number.axes):
-        return number
-    for axis in number.axes:
-        place = number.axes.index(axis)
-        less = defaultdict(set)
-        for setting, agrees in number.agrees.items():
-            less[(*setting[:place], *setting[place + 1 :])].add(agrees)
-        if all(len(each) == 1 for each in less.values()):
-            rest = (*number.axes[:place], *number.axes[place + 1 :])
-            number = Number(number.id, rest, {setting: each.pop() for setting, each in less.items()})
-    return number
+def _agreeing(score) -> int:
+    return -(-int(score) // AGREES)
+
+
+def _without_idle(number: Number) -> Number:
+    """Without the choices that do not move it, where all its settings were computed."""
+    axes, table = number.axes, number.agrees
+    for axis in axes if (table >= 0).all() else ():
+        place = axes.index(axis)
+        if (table == table.take([0], place)).all():
+            axes, table = (*axes[:place], *axes[place + 1 :]), table[(*[slice(None)] * place, 0, ...)]
+    return Number(number.id, axes, table)
 
 
 def _linked(numbers: list[Number]) -> list[list[str]]:
@@ -233,62 +263,69 @@ def _linked(numbers: list[Number]) -> list[list[str]]:
     return groups
 
 
-def _factorial(numbers: list[Number], options, defaults, names: list[str]):
-    """Best settings, most numbers at once with each option, and combinations tried."""
-    sizes = [len(options[name]) for name in names]
-    counts, moved = np.zeros(sizes, np.int16), np.zeros(sizes, np.int8)
-    for number in numbers:
-        order = sorted(number.axes, key=names.index)
-        table = np.zeros([len(options[axis]) for axis in order], bool)
-        for setting, agrees in number.agrees.items():
-            chosen = dict(zip(number.axes, setting, strict=True))
-            table[tuple(options[axis].index(chosen[axis]) for axis in order)] = agrees
-        counts += table.reshape([len(options[name]) if name in order else 1 for name in names])
-    for k, name in enumerate(names):
-        other = np.array([text != defaults[name] for text in options[name]], np.int8)
-        moved += other.reshape([-1 if j == k else 1 for j in range(len(names))])
-    places = np.unravel_index(np.argmin(np.where(counts == counts.max(), moved, 127)), sizes)
-    best = {name: options[name][k] for name, k in zip(names, places, strict=True)}
-    at_most = {}
-    for k, name in enumerate(names):
-        most = counts.max(axis=tuple(j for j in range(len(names)) if j != k))
-        at_most[name] = dict(zip(options[name], most.tolist(), strict=True))
-    return best, at_most, counts.size
+def _held(tables: dict[tuple[str, ...], np.ndarray], axis: str, place: int) -> list[Table]:
+    """With one option of an axis alone."""
+    return [(a, t.take([place], a.index(axis)) if axis in a else t) for a, t in tables.items()]
 
 
-def _climbed(numbers: list[Number], options, defaults, names: list[str]):
-    """As `_factorial`, moving one choice after the other."""
-    touching = {name: [number for number in numbers if name in number.axes] for name in names}
-    tried = set()
+def eliminate(tables: Sequence[Table], join: Callable, over: Callable) -> tuple[int, dict[str, int]]:
+    """Join all tables, each an array with its axes' names, and reduce over all axes, one after the other.
 
-    def climb(chosen: dict[str, str], kept: str = "") -> tuple[int, int, dict[str, str]]:
-        before = None
-        while before != chosen:
-            before = dict(chosen)
-            for name in names:
-                scores = {}
-                for text in options[name] if name != kept else ():
-                    other = chosen | {name: text}
-                    tried.add(tuple(other.values()))
-                    agree = sum(number.at(other) for number in touching[name])
-                    scores[text] = (agree, text == defaults[name], text == chosen[name])
-                chosen = chosen | ({name: max(scores, key=scores.get)} if scores else {})
-        moved = sum(chosen[name] != defaults[name] for name in names)
-        return sum(number.at(chosen) for number in numbers), -moved, chosen
+    What is reduced at a time has the axes that tables share with one, not all: the largest sum over fifty choices is
+    found exactly without a table of all their combinations.
 
-    first = {name: defaults[name] for name in names}
-    explained = [
-        dict(zip(n.axes, s, strict=True)) for n in numbers for s, agrees in n.agrees.items() if agrees
-    ]
-    drawn = np.random.default_rng(1).permutation(len(explained))[:RESTARTS]
-    tops = [climb(first | some) for some in ({}, *(explained[k] for k in drawn))]
-    best: dict[str, str] = {}
-    while (found := max(tops, key=lambda top: top[:2])[2]) != best:
-        best = found
-        held = {(name, text): climb(best | {name: text}, name) for name in names for text in options[name]}
-        tops = [climb(best), *held.values()]
-    at_most = {name: {text: held[name, text][0] for text in options[name]} for name in names}
-    return best, at_most, len(tried)
+    Parameters
+    ----------
+    tables : sequence of (tuple of str, ndarray)
+    join : callable
+        ``np.add`` or ``np.multiply``.
+    over : callable
+        ``np.max`` or ``np.sum``; the join is distributive over it.
+
+    Returns
+    -------
+    tuple of int and dict
+        The result; of a maximum, the place on each axis that has it.
+
+    Raises
+    ------
+    InputError
+        When too many choices are linked at a time.
+    """
+    steps, waiting = [], list(tables)
+    while names := sorted({axis for axes, _ in waiting for axis in axes}):
+        sizes = {a: size for axes, table in waiting for a, size in zip(axes, table.shape, strict=True)}
+        beside = {name: {a for axes, _ in waiting if name in axes for a in axes} - {name} for name in names}
+        name = min(names, key=lambda name: sizes[name] * math.prod(sizes[a] for a in beside[name]))
+        axes = (name, *sorted(beside[name]))
+        if math.prod(sizes[a] for a in axes) > LARGEST:
+            raise InputError(
+                f"the choices {', '.join(axes)} are too many that numbers link; declare fewer options"
+            )
+        table = reduce(join, (_spread(each, axes) for each in waiting if name in each[0]))
+        waiting = [each for each in waiting if name not in each[0]] + [(axes[1:], over(table, axis=0))]
+        steps.append((axes, table))
+    places: dict[str, int] = {}
+    for axes, table in reversed(steps):
+        places[axes[0]] = int(table[(slice(None), *(places[a] for a in axes[1:]))].argmax())
+    return int(reduce(join, (table for _, table in waiting))), places
+
+
+def _spread(table: Table, axes: tuple[str, ...]) -> np.ndarray:
+    """With these axes, of size 1 where it has none."""
+    mine, values = table
+    order = [mine.index(axis) for axis in axes if axis in mine]
+    return values.transpose(order).reshape([values.shape[mine.index(a)] if a in mine else 1 for a in axes])
+
+
+def as_one(axes: Sequence[str], numbers: list[Number], options, defaults) -> dict[str, int]:
+    """How many numbers agree at once, at most, where these axes have the same option; by the options that all of them have."""
+    grid = np.array(np.meshgrid(*(options[axis] for axis in axes), indexing="ij"))
+    same = Number("", tuple(axes), (grid == grid[0]).all(axis=0).astype(np.int8))
+    many = len(numbers) + 1  # what is worth more than all numbers is not given up for them
+    joint = best_joint([*numbers, *[same] * many], options, defaults)
+    first = [each for each in joint.settings if each.axis == axes[0]]
+    return {each.option: each.agree - many for each in first if each.agree >= many}
 
 
 # === Shown ===============================================================================================
@@ -303,12 +340,6 @@ class Meeting:
     windows: tuple[Window, ...] = ()
     pieces: tuple[tuple[float, float], ...] = ((-math.inf, math.inf),)
 
-    def with_(self, window: Window) -> "Meeting":
-        """This and the window of a further number."""
-        pairs = product(self.pieces, window.pieces)
-        both = tuple((max(a, c), min(b, d)) for (a, b), (c, d) in pairs if max(a, c) <= min(b, d))
-        return Meeting(self.axis, self.others | dict(window.others), (*self.windows, window), both)
-
 
 def meetings(windows: Iterable[Window]) -> list[Meeting]:
     """The windows of each axis, together for every setting of the other choices."""
@@ -320,7 +351,11 @@ def meetings(windows: Iterable[Window]) -> list[Meeting]:
         joined = [Meeting(axis, {})]
         for mine in by_number.values():
             pairs = product(joined, mine)
-            joined = [m.with_(w) for m, w in pairs if all(m.others.get(k, o) == o for k, o in w.others)]
+            joined = [
+                Meeting(axis, m.others | dict(w.others), (*m.windows, w), tuple(meet(m.pieces, w.pieces)))
+                for m, w in pairs
+                if all(m.others.get(k, o) == o for k, o in w.others)
+            ]
         found += joined
     return found
 
@@ -330,24 +365,21 @@ def report(topic: str, joint: Joint) -> list[str]:
     all_ = "all" if joint.agree == joint.numbers else f"no setting explains all: {joint.agree} of"
     lines = [
         f"{topic}: {all_} {joint.numbers} printed numbers agree at once, calibrated among {joint.tried} combinations",
+        f"put together from {joint.computed} of {joint.possible} combinations of single studies; "
+        f"for {joint.whole} every number was computed, in the others what was not counts as not agreeing",
         f"{len(joint.lost)} agree under other settings only, {len(joint.never)} under none",
     ]
-    for each in joint.settings:
-        if each.best and (each.supports or each.contradicts):
-            others = [one for one in joint.settings if one.axis == each.axis and not one.best]
-            second = max(others, key=lambda one: one.agree, default=None)
-            loses = f"; {second.option} loses {joint.agree - second.agree}" if second else ""
-            lines.append(
-                f"{each.axis} {each.option}: {len(each.supports)} support it, "
-                f"{len(each.contradicts)} contradict it, {each.indifferent} do not care{loses}"
-            )
-    for met in meetings(joint.windows):
-        held = ", ".join(f"{name} {option}" for name, option in met.others.items())
-        each = "; ".join(f"{one.number} {ranges(one.pieces)}" for one in met.windows)
-        lines.append(f"{met.axis} with {held or 'any others'}: {each}; all {ranges(met.pieces)}")
-    return lines
+    for says, by_option in joint.equal.items():
+        each = ", ".join(f"{agree} with {option}" for option, agree in by_option.items())
+        lines.append(f"with {says} in all of the paper at most {each}")
+    telling = (each for each in joint.settings if each.best and (each.supports or each.contradicts))
+    best = ", ".join(f"{each.axis} {each.option}" for each in telling)
+    return [
+        *lines,
+        f"best with {best or 'any settings'}; data/{topic}/settings.csv and the site have all of it",
+    ]
 
 
 def ranges(pieces: Iterable[tuple[float, float]]) -> str:
     """Pieces of a range in words."""
-    return " and ".join(f"{low:g} to {high:g}" for low, high in pieces) or "nowhere"
+    return " and ".join(f"{low:.12g} to {high:.12g}" for low, high in pieces) or "nowhere"

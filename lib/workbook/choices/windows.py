@@ -4,24 +4,26 @@ import hashlib
 import json
 import math
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import as_completed
 from dataclasses import replace
+from functools import cache, partial
 from itertools import pairwise, product
 
 import numpy as np
 
 from workbook.choices.axes import POINTS, Axis, Multiverse
-from workbook.choices.kept import Window
+from workbook.choices.kept import Pieces, Window
 from workbook.choices.notebook_study import study_digest
 from workbook.choices.running import Journal, calls_at, compute, design
 from workbook.claims import Entry
 from workbook.progress import Progress
 
-GRID = 24  # values over the range, between which roots are searched
+HALVINGS = 3  # of a cell in which a value may turn round, at most, before its turn is searched
+TRIES = 12  # of a value at a turn
 FITS = 3  # of a study whose values join the options of its choices
-FAR = 1e6  # tolerances from the printed number, at most
-DIGITS = 5  # of a window's ends
+FAR = 1e6  # tolerances from the printed number, at most; where a study fails, too
+DIGITS, KEPT = 5, 0.99  # of a window's ends, at least; share of it that rounding leaves
 LOGARITHMIC = 50  # ratio of the ends of a range from which on it is divided by ratios
 
 
@@ -54,7 +56,7 @@ def windows_of(
         for name, pieces in journal.found[key].items():
             others = [k for k in texts if k in multiverse.touched[name] and k != axis.name]
             held = tuple((other, texts[other]) for other in others)
-            found.append(Window(axis.name, name, held, tuple(map(tuple, pieces))))
+            found.append(Window(axis.name, name, _step(multiverse, axis), held, tuple(map(tuple, pieces))))
     return _without_idle(list(dict.fromkeys(found)))
 
 
@@ -67,6 +69,14 @@ def _run(function, tasks: Mapping[str, tuple], pool, journal: Journal, unit: str
             progress.step()
 
 
+def _key(multiverse: Multiverse, point: tuple[int, ...], entries: list[Entry], *more) -> str:
+    """Under which a journal keeps what was found of these entries at a point."""
+    facts = [study_digest(multiverse.function), repr(entries), multiverse.options(point), multiverse.seeds]
+    return hashlib.sha256(
+        json.dumps([facts, HALVINGS, TRIES, multiverse.windows, *more]).encode()
+    ).hexdigest()
+
+
 def _fits(multiverses: list[Multiverse], entries: dict[str, Entry]) -> dict[str, tuple]:
     """Arguments of `fit` for the studies in which several choices have a range, by the key of what it finds.
 
@@ -75,15 +85,13 @@ def _fits(multiverses: list[Multiverse], entries: dict[str, Entry]) -> dict[str,
     tasks = {}
     for multiverse in multiverses:
         judged = [entries[name] for name in multiverse.entries if entries[name].is_replication]
-        two_sided = (each for each in judged if each.kind == "value" and each.better is None)
-        mine = [each for each in two_sided if each.tolerance.interval is None]
+        values = [each for each in judged if each.kind == "value" and each.better is None]
+        mine = [each for each in values if each.tolerance.interval is None]
         ranged = [k for k, axis in enumerate(multiverse.axes) if axis.name in multiverse.windows]
         ends = {tuple(0 for _ in ranged), tuple(len(multiverse.axes[k].texts) - 1 for k in ranged)}
         points = _points(multiverse, "", multiverse.entries) if mine and len(ranged) > 1 else ()
         for point in (each for each in points if tuple(each[k] for k in ranged) in ends):
-            facts = ["fit", study_digest(multiverse.function), multiverse.windows, repr(mine)]
-            facts += [multiverse.options(point), multiverse.seeds]
-            tasks[hashlib.sha256(json.dumps(facts).encode()).hexdigest()] = (multiverse, point, mine)
+            tasks[_key(multiverse, point, mine, "fit")] = (multiverse, point, mine)
     return tasks
 
 
@@ -101,62 +109,145 @@ def searches(multiverses: list[Multiverse], entries: dict[str, Entry]) -> dict[s
     """Arguments of `search_window` for all windows, by the key under which a journal keeps what it found."""
     tasks = {}
     for multiverse in multiverses:
-        for axis in multiverse.axes:
+        for axis in (each for each in multiverse.axes if each.name in multiverse.windows):
             touched = [name for name in multiverse.entries if axis.name in multiverse.touched[name]]
             judged = [entries[name] for name in touched if entries[name].kind != "reported"]
             mine = [entry for entry in judged if entry.is_replication]
-            ends = multiverse.windows.get(axis.name)
-            for point in _points(multiverse, axis.name, touched) if ends and mine else ():
-                facts = [study_digest(multiverse.function), ends, repr(mine)]
-                facts += [multiverse.options(point), axis.name, multiverse.seeds]
-                key = hashlib.sha256(json.dumps(facts).encode()).hexdigest()
-                tasks[key] = (multiverse, axis, point, mine)
+            for point in _points(multiverse, axis.name, touched) if mine else ():
+                tasks[_key(multiverse, point, mine, axis.name)] = (multiverse, axis, point, mine)
     return tasks
 
 
 def _points(multiverse: Multiverse, name: str, touched: Sequence[str]) -> list[tuple[int, ...]]:
     """Settings of the other axes that touch these entries, the rest at the default; many of them as the study samples them."""
-    open_ = [
-        a.name != name and any(a.name in multiverse.touched[e] for e in touched) for a in multiverse.axes
-    ]
-    default = multiverse.default_point
-    places = [
-        range(len(a.texts)) if o else (k,) for a, o, k in zip(multiverse.axes, open_, default, strict=True)
-    ]
+    touching = {axis for entry in touched for axis in multiverse.touched[entry]} - {name}
+    places = [range(len(a.texts)) if a.name in touching else (a.default_index,) for a in multiverse.axes]
     if math.prod(map(len, places)) <= POINTS:
         return list(product(*places))
-    return list(
-        dict.fromkeys(
-            tuple(p if o else k for p, o, k in zip(point, open_, default, strict=True))
-            for point in design(multiverse)
-        )
+    sampled = (
+        tuple(k if k in mine else mine[0] for k, mine in zip(point, places, strict=True))
+        for point in design(multiverse)
     )
+    return list(dict.fromkeys(sampled))
 
 
 def search_window(multiverse: Multiverse, axis: Axis, point: tuple[int, ...], entries: list[Entry]) -> dict:
     """Pieces of the axis' range in which each entry agrees, the other choices at `point`; by id."""
     calls = calls_at(multiverse, [point]).values()
-    known: dict[float, list] = {}
 
-    def outside(entry: Entry, side: int, x: float) -> float:
-        """By how much ours lies above (side 0) or below (1) what agrees; large where the study fails."""
-        if x not in known:
-            moved = [replace(call, options=call.options | {axis.keyword: x}) for call in calls]
-            known[x] = [compute(call) for call in moved]
-        values = [given[entry.id] for given in known[x] if not isinstance(given, str)]
-        found = _outside(entry, values)[side] if values else math.nan
-        return found if math.isfinite(found) else 1e9
+    @cache
+    def outside(x: float) -> dict[str, tuple[float, float]]:
+        found = [compute(replace(call, options=call.options | {axis.keyword: x})) for call in calls]
+        given = [each for each in found if not isinstance(each, str)]
+        return {entry.id: _outside(entry, [each[entry.id] for each in given]) for entry in entries}
 
     grid = _grid(multiverse, axis)
-    return {
-        entry.id: _pieces(lambda side, x, entry=entry: outside(entry, side, x), grid) for entry in entries
-    }
+    return {entry.id: pieces_of(lambda x, name=entry.id: outside(x)[name], grid) for entry in entries}
 
 
 def _grid(multiverse: Multiverse, axis: Axis) -> list[float]:
-    low, high = multiverse.windows[axis.name]
+    low, high, cells = multiverse.windows[axis.name]
     spaced = np.geomspace if 0 < LOGARITHMIC * low < high else np.linspace
-    return spaced(low, high, GRID + 1).tolist()
+    return spaced(low, high, cells + 1).tolist()
+
+
+def _step(multiverse: Multiverse, axis: Axis) -> str:
+    first, second, third, *_ = _grid(multiverse, axis)
+    even = math.isclose(second - first, third - second)
+    return f"{second - first:.3g}" if even else f"{100 * (second / first - 1):.2g} %"
+
+
+def pieces_of(outside: Callable[[float], tuple[float, float]], grid: list[float]) -> Pieces:
+    """Where a number agrees.
+
+    Parameters
+    ----------
+    outside : callable
+        By how much it lies above and below what agrees; both at most 0 where it agrees.
+    grid : list of float
+        Values between which roots are searched, ascending. Cells in which a side may turn round, by the bend of the
+        values around, are halved first.
+
+    Returns
+    -------
+    tuple of (float, float)
+        The number agrees at both ends and in the middle of each piece, and at no searched value beside them; where
+        a middle disagrees, the piece is searched again in two parts.
+    """
+    outside, asked = cache(outside), set(grid)
+
+    def excess(side: int, x: float) -> float:
+        asked.add(float(x))
+        return outside(float(x))[side]
+
+    for halving in range(HALVINGS + 1):
+        for low, high, side in list(_turning(sorted(asked), outside)):
+            if halving < HALVINGS:
+                asked.add((low + high) / 2)
+            else:
+                _turn(partial(excess, side), low, high)
+    for _ in range(2 * HALVINGS):
+        known = sorted(asked)
+        pieces = meet(*(_side(partial(excess, side), known) for side in (0, 1)))
+        ends = [grid[0], *(end for piece in pieces for end in piece), grid[-1]]
+        asked |= {(one + two) / 2 for one, two in pairwise(ends)}
+        agree = {x: max(outside(x)) <= 0 for x in asked}
+        if all(inside == any(low <= x <= high for low, high in pieces) for x, inside in agree.items()):
+            break
+    return tuple(_rounded(outside, grid, *piece) for piece in pieces if agree[sum(piece) / 2])
+
+
+def _turning(known: list[float], outside) -> Iterable[tuple[float, float, int]]:
+    """Cells between whose ends a side keeps its sign, but lies nearer to 0 than the bend beside them; and the side."""
+    x, excess = np.array(known)[:, None], np.array([outside(x) for x in known])
+    share = (x[1:-1] - x[:-2]) / (x[2:] - x[:-2])
+    bend = np.abs(excess[1:-1] - (1 - share) * excess[:-2] - share * excess[2:])
+    bend = np.maximum(np.vstack([bend[:1], bend]), np.vstack([bend, bend[-1:]]))
+    near = np.minimum(np.abs(excess[:-1]), np.abs(excess[1:]))
+    cells = ((excess[:-1] > 0) == (excess[1:] > 0)) & (near < bend)
+    return ((known[k], known[k + 1], side) for k, side in np.argwhere(cells).tolist())
+
+
+def _turn(excess: Callable[[float], float], low: float, high: float) -> None:
+    """Ask for the values around a turn within a cell: the largest one where its ends agree, else the smallest."""
+    from scipy.optimize import minimize_scalar
+
+    sign = 1 if excess(low) > 0 else -1
+    minimize_scalar(lambda x: sign * excess(x), bounds=(low, high), options={"maxiter": TRIES})
+
+
+def _side(excess: Callable[[float], float], searched: list[float]) -> list[tuple[float, float]]:
+    """Where one side is at most 0, with ends where it still is."""
+    from scipy.optimize import elementwise
+
+    accuracy = {"xatol": 1e-6 * (searched[-1] - searched[0])}
+    signed = np.vectorize(lambda x: excess(float(x)) or -1e-300, otypes=[float])  # 0 agrees, too
+    ends = [searched[0]] if excess(searched[0]) <= 0 else []
+    for one, two in pairwise(searched):
+        if (excess(one) <= 0) != (excess(two) <= 0):
+            root = elementwise.find_root(signed, (one, two), tolerances=accuracy)
+            ends.append(float(root.bracket[int(root.f_bracket[1] < 0)]))
+    ends += [searched[-1]] if excess(searched[-1]) <= 0 else []
+    return list(zip(ends[::2], ends[1::2], strict=True))
+
+
+def _rounded(outside, grid: list[float], low: float, high: float) -> tuple[float, float]:
+    """Rounded to the inside, to digits that leave nearly all of it and with which the number agrees."""
+    least = 1e-3 * (grid[-1] - grid[0])
+    for digits in range(DIGITS, 13):
+        ends = []
+        for x, to in ((low, math.ceil), (high, math.floor)):
+            places = digits - 1 - math.floor(math.log10(max(abs(x), least)))
+            ends.append(x if x in grid else round(to(round(x * 10**places, 3)) / 10**places, places) + 0.0)
+        if ends[1] - ends[0] >= KEPT * (high - low) and max(outside(ends[0]) + outside(ends[1])) <= 0:
+            return tuple(ends)
+    return low, high
+
+
+def meet(first, second) -> list[tuple[float, float]]:
+    """Pieces that two lists of pieces share."""
+    both = ((max(a, c), min(b, d)) for (a, b), (c, d) in product(first, second))
+    return [(low, high) for low, high in both if low <= high]
 
 
 def fit(multiverse: Multiverse, point: tuple[int, ...], entries: list[Entry]) -> dict:
@@ -168,43 +259,26 @@ def fit(multiverse: Multiverse, point: tuple[int, ...], entries: list[Entry]) ->
 
     calls = calls_at(multiverse, [point]).values()
     axes = [axis for axis in multiverse.axes if axis.name in multiverse.windows]
-    grids, shares = [_grid(multiverse, axis) for axis in axes], np.linspace(0, 1, GRID + 1)
+    grids = [_grid(multiverse, axis) for axis in axes]
+    shares = [np.linspace(0, 1, len(grid)) for grid in grids]
 
     def at(x: np.ndarray) -> list[float]:
-        return [float(np.interp(share, shares, grid)) for share, grid in zip(x, grids, strict=True)]
+        return [float(np.interp(*each)) for each in zip(x, shares, grids, strict=True)]
 
     def distances(x: np.ndarray) -> np.ndarray:
         moved = {axis.keyword: value for axis, value in zip(axes, at(x), strict=True)}
         found = [compute(replace(call, options=call.options | moved)) for call in calls]
         given = [each for each in found if not isinstance(each, str)]
-        if not given:
-            return np.full(len(entries), FAR)
         sides = np.array([_outside(entry, [each[entry.id] for each in given]) for entry in entries])
         off = (sides[:, 0] - sides[:, 1]) / 2 / [entry.tolerance.width(entry.published) for entry in entries]
-        return np.clip(np.nan_to_num(off, nan=FAR), -FAR, FAR)
+        return np.clip(off, -FAR, FAR)
 
     options = multiverse.options(point)
-    start = [np.interp(options[axis.keyword], grid, shares) for axis, grid in zip(axes, grids, strict=True)]
+    start = [np.interp(options[a.keyword], g, s) for a, g, s in zip(axes, grids, shares, strict=True)]
     start = np.clip(start, 1e-3, 1 - 1e-3)  # inside its bounds
     found = least_squares(distances, start, bounds=(0, 1), loss="soft_l1", diff_step=1e-4)
     named = {axis.name: float(f"{x:.{DIGITS}g}") for axis, x in zip(axes, at(found.x), strict=True)}
     return {"agree": int(np.sum(np.abs(found.fun) <= 1)), "values": named}
-
-
-def _pieces(outside, grid: list[float]) -> list[tuple[float, float]]:
-    from scipy.optimize import brentq
-
-    ends, accuracy = {grid[0], grid[-1]}, 1e-6 * (grid[-1] - grid[0])
-    for side in (0, 1):
-        for one, two in pairwise(grid):
-            if (outside(side, one) > 0) != (outside(side, two) > 0):
-                ends.add(brentq(lambda x, side=side: outside(side, x) or -1e-300, one, two, xtol=accuracy))
-    pieces: list[tuple[float, float]] = []
-    for one, two in pairwise(sorted(ends)):
-        if max(outside(side, (one + two) / 2) for side in (0, 1)) <= 0:
-            joined = pieces and pieces[-1][1] == one
-            pieces = [*pieces[:-1], (pieces[-1][0], two)] if joined else [*pieces, (one, two)]
-    return [tuple(float(f"{x:.{DIGITS}g}") * (abs(x) > accuracy) + 0.0 for x in piece) for piece in pieces]
 
 
 def _outside(entry: Entry, values: list) -> tuple[float, float]:
@@ -213,10 +287,12 @@ def _outside(entry: Entry, values: list) -> tuple[float, float]:
 
     ends = [value[1] if isinstance(value, tuple | list) else (value, value) for value in values]
     middle = [value[0] if isinstance(value, tuple | list) else value for value in values]
+    if not values or not np.isfinite(middle).all():
+        return FAR, -FAR
     aim = 1.0 if entry.published is None else entry.published
     if entry.is_fraction:
         shares = middle if entry.threshold is None else [low for low, _ in ends]
-        return -1.0, (entry.threshold or aim) - float(np.median(shares))
+        return -1.0, (entry.threshold or aim) - float(np.median(shares)) or -1.0
     if entry.tolerance.interval is None:
         ours, width = float(np.median(middle)), entry.tolerance.width(aim)
         low, high = ours - width, ours + width
@@ -224,7 +300,7 @@ def _outside(entry: Entry, values: list) -> tuple[float, float]:
         low, high = np.median(ends, axis=0)
     else:
         low, high = spread_interval(np.array(middle), entry.tolerance.interval)
-    above, below = low - aim, aim - high
+    above, below = float(low - aim), float(aim - high)
     return -1.0 if entry.better == "larger" else above, -1.0 if entry.better == "smaller" else below
 
 

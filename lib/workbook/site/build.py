@@ -36,7 +36,7 @@ from workbook.site.links import broken_links
 from workbook.site.mathematics import markdown
 from workbook.site.metadata import about, address, binder, papers, project
 from workbook.site.pages import Figure, NotebookPage, read_page
-from workbook.site.settings import bars
+from workbook.site.settings import bars, unsearched
 from workbook.site.specification import curves, said_of, sentence, status
 from workbook.site.states import kept_states, make_states, missing_states
 from workbook.tasks import tasks
@@ -186,6 +186,8 @@ def _choice_pages(render, topics: list[dict]) -> dict[str, bytes]:
                 joint=joint,
                 axes=axes,
                 searched={axis: ends for one in multiverses for axis, ends in one.windows.items()},
+                unsearched=unsearched(multiverses),
+                equal=topic["equal"],
                 telling=telling,
                 silent=sorted({each.axis for each in joint.settings} - telling),
                 drawn=bars(joint),

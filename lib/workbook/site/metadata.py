@@ -20,6 +20,7 @@ PAPER = {
     "claimed": "",
     "hero": "",
     "limits": [],
+    "equal": {},
     "on": "",
     "moving": "",
     "found": [],

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from workbook.choices.axes import Multiverse
 from workbook.choices.kept import Joint
 from workbook.choices.settings import Meeting, meetings
 
@@ -18,6 +19,8 @@ class Bars:
     axis : str
     ends : tuple of float
         Of the scale, in the choice's unit.
+    steps : tuple of str
+        Distances of the searched values, one a study.
     groups : tuple of (Meeting, float, tuple of (float, str, str))
         Of each setting of the other choices its height, and of each number its own height, its id and the path of its bars.
     height : float
@@ -25,6 +28,7 @@ class Bars:
 
     axis: str
     ends: tuple[float, float]
+    steps: tuple[str, ...]
     groups: tuple[tuple[Meeting, float, tuple[tuple[float, str, str], ...]], ...]
     height: float
     width: int = WIDTH
@@ -49,5 +53,18 @@ def bars(joint: Joint) -> list[Bars]:
                 rows.append((y, each.number, path))
             groups.append((met, top, tuple(rows)))
             y += ROW / 2
-        drawn.append(Bars(axis, (low, high), tuple(groups), y + ROW))
+        steps = dict.fromkeys(each.step for m in mine for each in m.windows)
+        drawn.append(Bars(axis, (low, high), tuple(steps), tuple(groups), y + ROW))
     return drawn
+
+
+def unsearched(multiverses: list[Multiverse]) -> list[str]:
+    """Choices of numbers between which others could stand and of which no study searches a range."""
+    searched = {axis for each in multiverses for axis in each.windows}
+    numeric = {
+        axis.name: None
+        for each in multiverses
+        for axis in each.axes
+        if all(isinstance(option, float) for option in axis.options)
+    }
+    return [axis for axis in numeric if axis not in searched]
