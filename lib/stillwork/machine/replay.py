@@ -43,12 +43,6 @@ class Replay(NamedTuple):
     noise: np.ndarray  # (axes,): largest command by the sensors' noise alone, with frozen weights, N
 
     @property
-    def excess(self) -> float:
-        """Share by which adapting weights add to the power that frozen ones leave."""
-        frozen, adapting = np.sum(self.motion[1:] ** 2, axis=(1, 2))
-        return float(adapting / frozen - 1)
-
-    @property
     def minutes(self) -> np.ndarray:
         """Rms of each minute, m/s^2, (3, axes, minutes)."""
         parts = max(1, round(self.motion.shape[2] / MINUTE_S))

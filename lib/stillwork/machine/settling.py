@@ -147,17 +147,18 @@ def settle_on_record(
 ) -> tuple[IsolationDesign, list[IsolationDesign], Replay, Learning]:
     """The design with a time constant with which weights that move add at most `variance` on the record itself, too."""
     band_hz = LOWEST_HZ, design.loop.shaping.lowpass_hz
-    around_it = name, limit, pause_s, floor, band_hz
     for left in reversed(range(TRIES)):
         files, times = written(design), [settling_time(each, floor) for each in (design, *around)]
         learning = learn(design, files, name, pause_s, floor, band_hz, spread, (times[0], max(times)))
-        run = None if learning.shown else replay(design, files, *around_it)
-        excess = learning.excess if run is None else run.excess
-        slower = design.time_constant * float(np.clip(max(excess / (GOAL * variance), 0.0) ** 1.5, *SLOWER))
-        if excess <= GOAL * variance or slower > LONGEST_S or left == 0:
+        share = max(learning.excess / (GOAL * variance), 0.0)
+        room = (ROUNDS * floor.duration - learning.window) / max(
+            1.0, *times
+        )  # no slower than the record can show
+        slower = design.time_constant * min(float(np.clip(share**1.5, *SLOWER)), room)
+        if share <= 1 or room < SLOWER[0] or slower > LONGEST_S or left == 0:
             break
         design, around = adapt_slower(design, around, floor, variance, slower, correction)
-    return design, around, run or replay(design, files, *around_it), learning
+    return design, around, replay(design, files, name, limit, pause_s, floor, band_hz), learning
 
 
 @pictures.house_style()
