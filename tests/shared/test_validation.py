@@ -239,6 +239,12 @@ PARTS = {
     *("Numbers.terms", "Numbers.files"),  # by the functions that write C
     "minimise",  # by the functions that make the cones
     *(
+        "AgreedUnits.accelerance",
+        "one_response",
+        "require_motion",
+    ),  # by `load_machine` and the decoupled axes
+    "perturbed",  # by the search of an isolator, of isolators that it has asked
+    *(
         "MovingPaths.commands",
         "MovingPaths.noises",
         "MovingPaths.transmissibility",
@@ -246,7 +252,7 @@ PARTS = {
     *("moving_paths", "density_through", "jitter_density", "record_grid", "through"),
 }
 FOLDERS = ("signals", "lti", "identification", "estimation", "control", "machine")
-COMMANDS = "budget budget_isolator design desk design_page desk_page export hardware html_page inspect isolate machine_toml noisy_peak pictures progress promise replay report retest waiting".split()
+COMMANDS = "axes axes_loops budget budget_isolator design desk design_page designed_loop desk_page export hardware html_page inspect isolate machine_toml noisy_peak pictures progress promise replay report retest settling waiting".split()
 
 
 def public_callables():

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 from jaxtyping import Float64
 
-from stillwork.base.bounds import Count, NonNegative, one_of, within
+from stillwork.base.bounds import Count, NonNegative, Positive, one_of, within
 from stillwork.base.checks import (
     InputError,
     pluralise,
@@ -453,7 +453,8 @@ def waiting_samples(loop: FeedforwardLoop, pause_s: NonNegative) -> tuple[int, i
     return start, max(round(FADE * start), 1), round(pause_s * loop.rate)
 
 
-def level_steps(rate: float) -> tuple[float, float]:
+@checked
+def level_steps(rate: Positive) -> tuple[float, float]:
     """Factors by which the square of the guard's level rises and falls each sample."""
     rise = 2 / (REARM_S * rate)
     return float(np.exp(rise)), float(np.exp(-rise / 10))
