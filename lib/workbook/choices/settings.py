@@ -156,6 +156,8 @@ def _with_windows(number: Number, windows: Iterable[Window], options: dict[str, 
     table = np.pad(number.agrees, more, constant_values=-1) if more else number.agrees
     for each in (one for one in windows if one.number == number.id):
         held = dict(each.others)
+        if any(text not in options[axis] for axis, text in each.others):
+            continue  # at an option that another one outdoes
         at = tuple(
             options[axis].index(held[axis]) if axis in held else slice(None)
             for axis in number.axes
