@@ -241,13 +241,14 @@ def paint_tracking_errors(
             if case != "Original":
                 axis.plot(time, 1e6 * original[k, ::every], color=figures.GREY, linewidth=2, label="Original")
             axis.plot(time, 1e6 * error[k, ::every], color=COLOURS[case], linewidth=0.8, label=case)
-            for sign in (1, -1):
-                level = {"color": figures.BLACK, "linestyle": "--", "linewidth": 1.0, "label": "printed rms"}
+            for sign, name in ((1, "plus and minus the printed rms"), (-1, "_")):
+                level = {"color": figures.BLACK, "linestyle": "--", "linewidth": 1.0, "label": name}
                 axis.plot(time[[0, -1]], [sign * printed[case][k]] * 2, **level)
         column[0].set_title(case)
     for k, axis in enumerate(axes[:, 0]):
         axis.set_ylabel(f"error in ${MOTIONS[k]}$ ({'µm' if k == 0 else 'µrad'})")
     figures.label(axes, "time (s)")
+    figures.legend_below(axes[0, 1], columns=3)
     return figure
 
 
