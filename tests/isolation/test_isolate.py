@@ -37,6 +37,7 @@ from stillwork.machine.isolation import POWERS, FeedforwardLoop, Isolator, Misma
 from stillwork.machine.isolation_design import (
     CUTOFFS_HZ,
     DRAWS,
+    ENDS,
     HIGHPASSES,
     LONGEST_S,
     RATIOS,
@@ -550,7 +551,7 @@ def test_an_accepted_limit_is_not_reached_on_the_record_itself(tmp_path):
     limit = float(re.search(r"give ([\d.]+) N", str(refused.value))[1])
     isolate_file(*files, rate, limit=limit)
     about = json.loads((tmp_path / "out" / "isolator.json").read_text())
-    assert limit > max(*about["command_peak"], *about["command_rms_highest"])
+    assert limit > about["command_peak"][0] >= about["command_rms_highest"][0]
     time, floor = np.loadtxt(slab, delimiter=",", skiprows=1, unpack=True)
     fine = signal.resample(
         (floor - floor.mean()) * signal.windows.tukey(len(floor), 0.03), round(time[-1] * FINE * rate)
@@ -562,7 +563,7 @@ def test_an_accepted_limit_is_not_reached_on_the_record_itself(tmp_path):
         loop = CompiledLoop(tmp_path / "out", "isolator")
         loop.run(true, np.tile(fine, (1, 2)), 1)  # from rest: the feedforward waits for its filters
         platform, _, flags = loop.run(true, fine[None], 2)
-        assert np.abs(loop.commands).max() == pytest.approx(max(about["command_peak"]), rel=0.2)
+        assert np.abs(loop.commands).max() < max(about["command_peak"]) < limit
         assert not flags & 1
         assert band_rms(platform, FINE * rate, *about["judged_hz"])[0] < about["remains"][2][0]
     # The isolator as given: what the page shows of the record is what a plant of others' making does.
@@ -612,9 +613,7 @@ def test_without_a_compiler_the_record_runs_through_the_same_loop(monkeypatch, a
     monkeypatch.setattr(replay_module, "COMPILERS", ())
     samples.append(sampled())
     (forces, flags, mean), (wanted, raised, averaged) = samples
-    assert (
-        np.array_equal(flags & (1 | 16), raised) and len(set(raised)) > 2
-    )  # sample by sample; the C flags frozen ones, too
+    assert np.array_equal(flags, raised) and len(set(raised)) > 2  # sample by sample
     assert np.abs(wanted - forces).max() < 1e-7 * np.abs(forces).max()
     assert np.abs(averaged - mean).max() < 1e-7 * np.abs(mean).max()
     runs += [both(np.inf), both(limit)]
@@ -707,9 +706,50 @@ def test_the_replay_is_right_where_a_hundredth_of_a_mode_remains(tmp_path, times
     assert found.motion[1].max() < 2 * frozen
 
 
+def test_the_certificate_of_a_box_holds_at_every_end_of_it():
+    """All 16 of one axis, and random ones of three, whose modes are off each by itself: none has a larger mismatch."""
+    for axes in (1, 3):
+        isolator = isolator_of(draw_isolator(np.random.default_rng(4000 + axes), axes, RATE))
+        loop, f = loop_of(isolator, 50.0), np.geomspace(0.5, 450, 300)
+
+        def mismatch(each, loop=loop, f=f):
+            primary, _, sampled = paths_through(each, RATE)(f)
+            return Mismatch(f, isolation_design.path_mismatch(loop.responses(primary, sampled, f))).loop_gain(
+                1.0, 20.0
+            )
+
+        box = isolation_design._box(isolator, 0.05, np.random.default_rng(0))
+        assert len(box) == DRAWS + ENDS
+        inside, ends = (max(map(mismatch, part)) for part in (box[:DRAWS], box[DRAWS:]))
+        rng = np.random.default_rng(9)
+        tried = [
+            isolation_design.perturbed(isolator, 0.05, lambda count, rng=rng: rng.choice([-1.0, 1.0], count))
+            for _ in range(60)
+        ]
+        assert inside < ends and max(map(mismatch, tried)) < 1.05 * ends
+
+
+@pytest.mark.slow
+def test_a_feedforward_that_does_not_pay_is_said_to_first(tmp_path):
+    """A still floor under noisy sensors: no control leaves less, and zero weights are as good; without a unit it is refused."""
+    true = replace(draw_isolator(np.random.default_rng(0), 1, RATE), floor_noise=2e-3, platform_noise=2e-3)
+    (tmp_path / "m.toml").write_text(true.toml())
+    first, second, *_ = isolate_file(
+        str(tmp_path / "m.toml"), write_floor(tmp_path, 1e-2 * flat()), str(tmp_path / "out"), RATE
+    )
+    about = json.loads((tmp_path / "out" / "isolator.json").read_text())
+    assert about["remains"][1] >= about["without"] and "does not pay" in first
+    assert ("zero weights are as good" in second) == (max(about["settling_s"]) == 0)
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "does not pay" in page and "budget" not in page  # of [isolator] alone there is none
+    np.savez(tmp_path / "bare.npz", **{"frequency (Hz)": GRID, "floor": flat()})
+    with pytest.raises(InputError, match="--unit"):
+        isolate_file(str(tmp_path / "m.toml"), str(tmp_path / "bare.npz"), str(tmp_path / "none"), RATE)
+
+
 @pytest.mark.slow
 def test_slow_motion_that_is_not_let_pass_would_have_broken_the_loop(tmp_path, monkeypatch):
-    """At twenty times the certificate's limit the weights run away; as designed they hold through gusts and pushes, too."""
+    """At twenty times the certificate's limit the weights run away; as designed they leave less than was promised."""
     true = draw_isolator(np.random.default_rng(0), 1, RATE)
     (tmp_path / "m.toml").write_text(true.toml())
     density = 0.05 * flat(3e4)
@@ -778,6 +818,7 @@ def test_the_guide_is_what_the_command_takes_and_does(tmp_path):
     assert (
         f"of at most {len(RATIOS) * len(CUTOFFS_HZ) * len(HIGHPASSES)} tried" in guide
         and f"for {DRAWS} others" in guide
+        and f"at {ENDS} ends of its box" in guide
     )
     assert any("what sets the time constant: 3 periods" in each for each in lines)
     assert f"up to {LONGEST_S:g} s" in guide and any("modes at 20.13 Hz" in each for each in lines)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stillwork.signals.levels import expected_peak, next_rms
+from stillwork.signals.levels import expected_peak, next_peak, next_rms
 
 RATE, DRAWS = 8.0, 300
 
@@ -82,6 +82,15 @@ def test_a_strength_that_wanders_is_louder_next_as_often_as_the_page_says(second
     record, later = rows[:, : round(seconds * RATE)], rows[:, -round(seconds * RATE) :]
     exceeded = np.mean(later.std(axis=1) / record.std(axis=1) > next_rms(record, 0.99))
     assert 0.02 < exceeded < share
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_the_next_peak_is_larger_as_often_as_is_said(name):
+    rng, shape = np.random.default_rng(3), SHAPES[name]
+    record, later = gaussian(rng, shape, 300.0) if shape else footfalls(rng, 300.0)
+    peaks = np.abs(later).max(axis=1)
+    assert np.mean(peaks > next_peak(record, 0.99)) < (0.035 if shape else 1 / 12)  # as the page says
+    assert np.mean(peaks > np.abs(record).max(axis=1)) > 0.4  # the record's own is exceeded every other time
 
 
 def test_the_factor_does_not_depend_on_the_unit_and_falls_with_length():

@@ -31,6 +31,7 @@ from stillwork.machine.isolation import FloorSpectra, Isolator
 from stillwork.machine.isolation_design import (
     CREST,
     DRAWS,
+    ENDS,
     FASTER,
     HIGHEST_PHASE,
     HIGHEST_SENSITIVITY_DB,
@@ -44,14 +45,20 @@ from stillwork.machine.isolation_design import (
     floor_spectra,
     settling_time,
 )
-from stillwork.machine.isolation_prediction import IsolationPrediction, predict
+from stillwork.machine.isolation_prediction import IsolationPrediction, predict, with_noise
 from stillwork.machine.machine_toml import open_machine_toml
 from stillwork.machine.path_fit import PathFit, fit_path
 from stillwork.machine.replay import Replay, paint_replay, replay_rows, require_kept
 from stillwork.machine.settling import Learning, paint_learning, settle_on_record
 from stillwork.signals.criteria import criterion_met, one_third_octave_velocity
 from stillwork.signals.datafiles import read_arrays, read_columns
-from stillwork.signals.densities import density_unit, read_densities, stated_density
+from stillwork.signals.densities import (
+    DENSITY_UNITS_TEXT,
+    density_unit,
+    frequency_axis,
+    read_densities,
+    stated_density,
+)
 from stillwork.signals.records import PASS_SHARE, load_record, to_acceleration
 from stillwork.signals.spectra import estimate_spectrum
 
@@ -165,7 +172,9 @@ def isolate_file(
     found, files = predict(design, around, spectra, correction), written(design)
     times = [settling_time(each, spectra) for each in (design, *around)]
     settling = learning.settled if learning else (times[0], max(times))
-    require_force(found, limit, 0.0 if run is None else run.noise)
+    if run:
+        found = with_noise(found, run.noise)
+    require_force(found, limit)
     if run:
         require_kept(run, found)
     about = {
@@ -179,13 +188,10 @@ def isolate_file(
         about["replay"] = run.record() | {"settling": learning.record()}
     files[f"{name}.json"] = json.dumps(about, indent=1, allow_nan=False) + "\n"
     write_folder(folder, files)  # before the page: what was computed is not lost with a picture
+    shown = learning.sentence() if learning else "on a floor whose strength is even"
     facts = [
         *facts_of(design, found, spectra),
-        [
-            "settling from zero weights",
-            f"to {WITHIN:g} times the power of what remains: {settling[0]:.3g} s, in the box at most {settling[1]:.3g} s; "
-            + (learning.sentence() if learning else "on a floor whose strength is even"),
-        ],
+        ["settling from zero weights", _settling_words(settling, shown)],
         ["limit of each force", f"{limit:g} N" if np.isfinite(limit) else "none: give --limit"],
         *(["assumed", each] for each in (*notes, *floor_notes)),
         *(["check the floor", each] for each in seen),
@@ -214,12 +220,13 @@ def isolate_file(
 
 
 def _budget_link(machine: str, floor: str, folder: str) -> str:
-    """The part of the page on the budget of one axis, whose page stands beside it."""
-    file = machine if machine.lower().endswith(".toml") else "MACHINE.toml"
-    command = f"python -m stillwork budget {file} --isolate {folder} --floor {floor} --out {folder}"
+    """The part of the page on the budget of one axis, whose page stands beside it; of a file that describes a machine, too."""
+    if not machine.lower().endswith(".toml") or "machine" not in open_machine_toml(machine):
+        return ""
+    command = f"python -m stillwork budget {machine} --isolate {folder} --floor {floor} --out {folder}"
     return (
         f"<h2>How still a stage on it stands</h2>\n<p><code>{html.escape(command)}</code> writes "
-        f'<a href="{html.escape(Path(file).stem)}.budget.html">the error budget</a> beside this page: the stage, its controller '
+        f'<a href="{html.escape(Path(machine).stem)}.budget.html">the error budget</a> beside this page: the stage, its controller '
         "and the other sources are tables of the TOML file.</p>"
     )
 
@@ -235,14 +242,38 @@ def _answer(
     """What was chosen and what it promises, one line each."""
     loop, rows = design.loop, remains_rows(found, spectra)
     columns = [", ".join(row[k] for row in rows) for k in (1, 4, 5, 6)]
+    settles = f"settled from zero weights in {settling:.3g} s at most"
+    if settling == 0:
+        settles = "for which zero weights are as good"
     return [
+        *_does_not_pay(found),
         f"{source}: {type(design.settings).__name__} at {loop.shaping.highpass_hz:.3g} to {loop.shaping.lowpass_hz:.4g} Hz with a "
-        f"time constant of {design.time_constant:.3g} s, settled from zero weights in {settling:.3g} s at most, and a skyhook of "
+        f"time constant of {design.time_constant:.3g} s, {settles}, and a skyhook of "
         f"{loop.gain:.3g} N s/m",
         f"it leaves at most {columns[2]} m/s^2 rms (at least {columns[1]}; {columns[0]} without control) at {found.band_hz[0]:g} to "
-        f"{found.band_hz[1]:.4g} Hz, anywhere within {100 * spread:g} %: {columns[3]}; the largest command is "
+        f"{found.band_hz[1]:.4g} Hz, at all {ENDS + DRAWS} isolators tried within {100 * spread:g} %: {columns[3]}; commands reach at most "
         f"{_listed(found.force[2])} N",
     ]
+
+
+def _does_not_pay(found: IsolationPrediction) -> list[str]:
+    """A sentence where the feedforward is not expected to leave less than the skyhook alone, or than no control."""
+    expected, alone, bare = map(np.linalg.norm, (found.remains[1], found.feedback, found.without))
+    if expected < min(alone, bare):
+        return []
+    cure = "take the passive isolator" if bare <= alone else "take the skyhook alone"
+    return [
+        f"the feedforward does not pay on this floor: all axes together {expected:.3g} m/s^2 rms are expected with it, {alone:.3g} "
+        f"with the skyhook alone, {bare:.3g} without control; {cure}, or give quieter sensors"
+    ]
+
+
+def _settling_words(settling: tuple[float, float], shown: str) -> str:
+    """How long weights take from zero."""
+    goal = f"to {WITHIN:g} times the power of what remains: "
+    if settling[1] == 0:
+        return goal + "zero weights leave no more than that, as designed and in the box"
+    return goal + f"{settling[0]:.3g} s, in the box at most {settling[1]:.3g} s; {shown}"
 
 
 def _record_of(design: IsolationDesign, found: IsolationPrediction) -> dict:
@@ -289,7 +320,10 @@ def _report(design, around, found, spectra: FloorSpectra, facts: list[list[str]]
         time=f"{spectra.duration:.3g}",
         high=f"{found.band_hz[1]:.4g}",
         transmissibility=picture(paint_transmissibility(design, found), "transmissibility of every axis"),
-        certificate=table(["", "found", "worst in the box", "limit"], certificate_rows(design, around)),
+        certificate=table(
+            ["", "found", f"worst at {ENDS} ends of the box and {DRAWS} places in it", "limit"],
+            certificate_rows(design, around),
+        ),
         **given,
     )
 
@@ -306,8 +340,8 @@ def _replayed(run: Replay | None, learning: Learning | None, found: IsolationPre
     return (
         f"<h2>The record, run through the loop</h2>\n<p>{run.ran}, around the isolator as given, from settled filters on and "
         f"with noise at its sensors. Largest command: {_listed(run.peak[0].max(axis=1))} N with frozen weights, "
-        f"{_listed(run.peak[1].max(axis=1))} N adapting; {saturated}. The floor was too loud to learn from in "
-        f"{100 * run.kept:.2g} % of the time. Each minute (rms, m/s<sup>2</sup>, of every axis):</p>\n"
+        f"{_listed(run.peak[1].max(axis=1))} N adapting; {saturated}. While the floor was too loud to learn from, and some "
+        f"periods of the band after it, the weights were kept: {100 * run.kept:.2g} % of the time. Each minute (rms, m/s<sup>2</sup>, of every axis):</p>\n"
         + table(["minute", "without control", "frozen", "adapting"], replay_rows(run))
         + picture(paint_replay(run, found, limit), "motion and command over the record")
         + f"<p>Weights from zero: {html.escape(learning.sentence())}.</p>\n"
@@ -345,13 +379,19 @@ def facts_of(design: IsolationDesign, found: IsolationPrediction, spectra: Floor
         ],
         [
             "scatter of the weights",
-            f"raises the power of what remains by {100 * design.variance:.2g} %",
+            f"raises the power of what remains by {100 * design.variance:.2g} %, by theory with an allowance for bursts"
+            + ("" if spectra.record is None else "; what the record itself shows is measured"),
         ],
         [
             "command",
-            f"{_listed(found.force[0])} N rms, the largest expected of {DRAWS} isolators in the box; over "
-            f"{spectra.duration:.3g} s up to {_listed(found.force[1])} N rms, and a peak of {_listed(found.force[2])} N "
-            + ("by Rice's formula" if spectra.record is None else "on the record itself"),
+            f"{_listed(found.force[0])} N rms, the largest expected at {ENDS} ends of the box and {DRAWS} places in it; over "
+            f"another {spectra.duration:.3g} s up to {_listed(found.force[1])} N rms, and at most {_listed(found.force[2])} N: "
+            + (
+                "Rice's peak at that rms"
+                if spectra.record is None
+                else "the record's peak, scattered as the rms and the peaks of Gaussian motion are; footfalls of uneven strength exceed "
+                "it in one stretch of 12 or fewer"
+            ),
         ],
         *_condition(spectra),
     ]
@@ -390,7 +430,7 @@ def findings(
     """The certificate and what remains, one line each."""
     return [
         *(
-            f"{row[0]}: {row[1]}, worst in the box {row[2]}, limit {row[3]}"
+            f"{row[0]}: {row[1]}, worst that was tried in the box {row[2]}, limit {row[3]}"
             for row in certificate_rows(design, around)
         ),
         f"remains at {found.band_hz[0]:g} to {found.band_hz[1]:.4g} Hz (m/s^2):",
@@ -401,9 +441,9 @@ def findings(
     ]
 
 
-def require_force(found: IsolationPrediction, limit: float, noise: float | np.ndarray = 0.0) -> None:
-    """Refuse a `limit` that commands with their peak of `noise` may reach: a command at its limit isolates nothing."""
-    largest = float(np.maximum(found.force[1], found.force[2] + noise).max())
+def require_force(found: IsolationPrediction, limit: float) -> None:
+    """Refuse a `limit` that commands may reach: a command at its limit isolates nothing."""
+    largest = float(found.force[2].max())
     if limit < largest:
         raise InputError(
             f"not to be switched on: limit is {limit:g} N, and on this floor a command reaches {largest:.4g} N; give "
@@ -526,7 +566,13 @@ def read_floor(
     Also notes, and what may disturb the adaptation. `record_hz` is a record's sample rate; 0: as the file states.
     """
     path = Path(file)
-    spectral = density_unit(unit) if unit else any(map(stated_density, read_columns(path)))
+    columns = read_columns(path)
+    spectral = density_unit(unit) if unit else any(map(stated_density, columns))
+    if not unit and not spectral and frequency_axis(columns):
+        raise InputError(
+            f"{path.name} holds spectra over frequency, whose unit neither it nor --unit states; give --unit, a density as "
+            f"{DENSITY_UNITS_TEXT}"
+        )
     notes = []
     if spectral:
         f, rows = read_densities(path, unit, channels, sensors)
@@ -615,7 +661,7 @@ def _listed(values) -> str:
 
 
 def certificate_rows(design: IsolationDesign, around: list[IsolationDesign]) -> list[list[str]]:
-    """Each quantity of the certificate: as designed, worst over the box, and its limit."""
+    """Each quantity of the certificate: as designed, worst of those tried in the box, and its limit."""
     own, box = design.certificate, [each.certificate for each in around]
     phase = max(box, key=lambda each: each.phase_deg)
     slow = max(each.slow for each in box)

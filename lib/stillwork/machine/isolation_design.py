@@ -63,6 +63,7 @@ SEGMENTS = 4  # of a record, half overlapping, that the finest lines average ove
 COARSE = 4  # of the coarse lines, which give way to fine ones
 BURST_S = 0.5  # of a stretch of a record whose power counts
 DRAWS = 24  # of isolators in the box, for the band of a prediction
+ENDS = 16  # of the box, beside them: all of one axis, and those where all modes are off alike of several
 FADE_S = 5.0  # at both ends of the record, a twentieth of it at most: in half a second a microseism leaks above 1 Hz
 # How far the shares of the box go of what `spread` is: of each mode's mass and stiffness, damping, actuator pole
 SPREADS = {"mass": 1.0, "stiffness": 1.0, "damping": 4.0, "pole": 2.0}
@@ -474,6 +475,15 @@ def perturbed(isolator: Isolator, spread: float, draw: Callable[[int], np.ndarra
     )
 
 
+def _box(isolator: Isolator, spread: float, rng: np.random.Generator) -> list[Isolator]:
+    """`DRAWS` isolators somewhere in the box, then those at its `ENDS`."""
+    inside = [perturbed(isolator, spread, lambda count: rng.uniform(-1, 1, count)) for _ in range(DRAWS)]
+    ends = map(iter, product((-1.0, 1.0), repeat=len(SPREADS)))
+    return inside + [
+        perturbed(isolator, spread, lambda count, signs=signs: np.full(count, next(signs))) for signs in ends
+    ]
+
+
 def _choose_band(loop: FeedforwardLoop, paths_of: Paths, frequencies_hz: np.ndarray) -> tuple[float, float]:
     """From below the lowest mode to where the path's phase is no longer reliable, or beyond the highest mode."""
     low = LOW_SHARE * float(frequencies_hz[0])
@@ -532,7 +542,7 @@ def design_isolation(
     -------
     IsolationDesign
     list of IsolationDesign
-        The same loop on isolators of the box.
+        The same loop on isolators of the box: `DRAWS` somewhere in it, then `ENDS`.
 
     Raises
     ------
@@ -542,8 +552,7 @@ def design_isolation(
     estimate = isolator if estimate is None else estimate
     own = paths_through(isolator, rate, correction)
     first = _first_loop(isolator, estimate, own, floor, rate, band_hz, notches)
-    rng = np.random.default_rng(seed)
-    box = [perturbed(isolator, spread, lambda count: rng.uniform(-1, 1, count)) for _ in range(DRAWS)]
+    box = _box(isolator, spread, np.random.default_rng(seed))
     paths = [paths_through(each, rate, correction) for each in box]
     tried = [
         try_loop(loop, isolator, own, floor, algorithm, variance, mismatch)

@@ -13,6 +13,7 @@ from stillwork.base.validation import by_value, checked
 from stillwork.estimation.adaptive import FeLms
 from stillwork.machine.isolation import FloorSpectra
 from stillwork.machine.isolation_design import (
+    DRAWS,
     JITTER,
     LOWEST_HZ,
     IsolationDesign,
@@ -24,7 +25,7 @@ from stillwork.machine.isolation_design import (
     moving_paths,
     paths_through,
 )
-from stillwork.signals.levels import expected_peak, next_rms
+from stillwork.signals.levels import expected_peak, next_peak, next_rms
 
 WIDE = 3.0  # standard deviations over the draws that the band takes in
 HIGHEST = (
@@ -44,7 +45,7 @@ class IsolationPrediction:
     without: Float64[np.ndarray, " axes"]  # the same without any control
     feedback: Float64[np.ndarray, " axes"]  # and with the skyhook alone
     # of each command over all of the floor's frequencies, scatter of the weights included, largest over the box, N: the
-    # expected rms, its highest over a time as long as the floor's record, and the peak on that record
+    # expected rms, and over another time as long as the floor's record the highest rms and the highest peak, never below it
     force: Float64[np.ndarray, "3 axes"]
     # root of the sum over the floor sensors of |T|^2
     transmissibility: Float64[np.ndarray, "3 axes frequencies"]
@@ -62,9 +63,10 @@ def predict(
 ) -> IsolationPrediction:
     """Motion and transmissibility of a design and of the loops around it, each with weights drawn from their scatter.
 
-    Where `floor` has its record, that runs through every loop with frozen weights: its peaks are those of the commands
-    without sensor noise (`replay` adds that), and its scatter is that of the floor's spectra, too. Without it the spectra
-    count as known, and the peaks are Rice's.
+    Where `floor` has its record, that runs through every loop with frozen weights: its peaks, scattered as its rms and as
+    the largest of a Gaussian signal are, are those of the commands without sensor noise (`with_noise` adds that of
+    `replay`), and its scatter is that of the floor's spectra, too. Without it the spectra count as known, and the peaks are
+    Rice's at the highest rms. The band is that of the first `DRAWS` loops; the others, ends of the box, are within it, too.
     """
     if design.scatter is None:
         raise InputError(
@@ -105,6 +107,12 @@ def predict(
         without_transmissibility=_gain(bare.transmissibility(silent)),
         density=density,
     )
+
+
+def with_noise(found: IsolationPrediction, noise: np.ndarray) -> IsolationPrediction:
+    """With the largest command (N, of each axis) that the sensors' noise alone made added to the peaks."""
+    rms, highest, peak = found.force
+    return replace(found, force=np.array([rms, highest, np.maximum(highest, peak + noise)]))
 
 
 def _gain(whole: Responding) -> np.ndarray:
@@ -214,9 +222,11 @@ def _forces(
     expected = np.sqrt(whole @ floor.widths_hz + scattered)
     if floor.record is None:
         varies = _varying(whole, floor.widths_hz, floor, expected**2)
-        return [expected, expected * np.exp(varies), _rice(whole, expected, floor)]
+        highest = expected * np.exp(varies)
+        return [expected, highest, _rice(whole, highest, floor)]
     command = _followed(design, lambda paths: paths.commands(weights)[0], floor, correction)
-    return [expected, expected * next_rms(command, HIGHEST), np.abs(command).max(axis=1)]
+    highest = expected * next_rms(command, HIGHEST)
+    return [expected, highest, np.maximum(highest, next_peak(command, HIGHEST))]
 
 
 def _followed(
@@ -261,7 +271,7 @@ def through(
 def _banded(draws: np.ndarray, expected: np.ndarray, varies: np.ndarray) -> np.ndarray:
     """Lowest, expected and highest: from the draws, `WIDE` standard deviations of their logarithms either way."""
     logs = np.log(draws)
-    mean, width = logs.mean(axis=0), WIDE * logs.std(axis=0)
+    mean, width = logs[:DRAWS].mean(axis=0), WIDE * logs[:DRAWS].std(axis=0)
     low = np.minimum(logs.min(axis=0), mean - width)
     high = np.maximum(logs.max(axis=0), mean + width)
     shift = varies if expected.ndim == 1 else varies[:, None]

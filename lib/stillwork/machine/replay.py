@@ -29,7 +29,7 @@ EDGE_S = 10.0  # before and after the record, in which motion fades: they do not
 # Of the paths, 0.018 % apart: the loop takes its part off the floor's, and what is left is no larger than where these are wrong
 # by a hundredth of a mode's peak.
 LINES = 64_000
-SATURATED, LOUD = 1, 16  # the flags of the C
+SATURATED, FROZEN, LOUD = 1, 4, 16  # the flags of the C
 
 
 class Replay(NamedTuple):
@@ -39,7 +39,7 @@ class Replay(NamedTuple):
     motion: np.ndarray  # (3, axes, seconds): rms without control, frozen, adapting in the judged band, m/s^2
     peak: np.ndarray  # (2, axes, seconds): largest command, frozen and adapting, N
     saturated: tuple[int, int]  # samples at the limit
-    kept: float  # share of the samples in which the floor was so loud that the weights were kept
+    kept: float  # share of the samples in which adapting weights were kept: the floor was too loud, or had just been so
     noise: np.ndarray  # (axes,): largest command by the sensors' noise alone, with frozen weights, N
 
     @property
@@ -154,7 +154,7 @@ def replay(
             motions.append(course.left(forces))
             peaks.append(_seconds(np.abs(forces[counted].T), course.rate, np.max))
             saturated.append(int(np.count_nonzero(flags[counted] & SATURATED)))
-        kept = float(np.mean(flags[counted] & LOUD > 0))  # of the floor's motion alone, adapting or not
+        kept = float(np.mean(flags[counted] & FROZEN > 0))
         alone, _, _ = run(design.isolator, weights, *course.quiet, np.inf, course.samples)
     largest = np.abs(alone[counted]).max(axis=0)
     return Replay(ran, np.array(motions), np.array(peaks), (saturated[0], saturated[1]), kept, largest)
@@ -349,6 +349,7 @@ def _step_through(
         rest -= rest > 0
         if k < begins or wait > 0:
             wait -= wait > 0
+            flags[k] |= FROZEN
         elif recursive:
             turn += 1
             ferls_step(
