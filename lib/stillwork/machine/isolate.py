@@ -340,7 +340,8 @@ def _replayed(run: Replay | None, learning: Learning | None, found: IsolationPre
     return (
         f"<h2>The record, run through the loop</h2>\n<p>{run.ran}, around the isolator as given, from settled filters on and "
         f"with noise at its sensors. Largest command: {_listed(run.peak[0].max(axis=1))} N with frozen weights, "
-        f"{_listed(run.peak[1].max(axis=1))} N adapting; {saturated}. While the floor was too loud to learn from, and some "
+        f"{_listed(run.peak[1].max(axis=1))} N adapting, of which the sensors' noise alone makes up to {_listed(run.noise)} N, which "
+        f"is added to what commands reach; {saturated}. While the floor was too loud to learn from, and some "
         f"periods of the band after it, the weights were kept: {100 * run.kept:.2g} % of the time. Each minute (rms, m/s<sup>2</sup>, of every axis):</p>\n"
         + table(["minute", "without control", "frozen", "adapting"], replay_rows(run))
         + picture(paint_replay(run, found, limit), "motion and command over the record")
