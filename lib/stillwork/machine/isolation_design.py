@@ -478,10 +478,14 @@ def perturbed(isolator: Isolator, spread: float, draw: Callable[[int], np.ndarra
 def _box(isolator: Isolator, spread: float, rng: np.random.Generator) -> list[Isolator]:
     """`DRAWS` isolators somewhere in the box, then those at its `ENDS`."""
     inside = [perturbed(isolator, spread, lambda count: rng.uniform(-1, 1, count)) for _ in range(DRAWS)]
-    ends = map(iter, product((-1.0, 1.0), repeat=len(SPREADS)))
-    return inside + [
-        perturbed(isolator, spread, lambda count, signs=signs: np.full(count, next(signs))) for signs in ends
-    ]
+    ends = []
+    for signs in map(iter, product((-1.0, 1.0), repeat=len(SPREADS))):
+
+        def of_all_modes(count: int, signs=signs) -> np.ndarray:
+            return np.full(count, next(signs))
+
+        ends.append(perturbed(isolator, spread, of_all_modes))
+    return inside + ends
 
 
 def _choose_band(loop: FeedforwardLoop, paths_of: Paths, frequencies_hz: np.ndarray) -> tuple[float, float]:

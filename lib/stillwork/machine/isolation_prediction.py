@@ -109,7 +109,8 @@ def predict(
     )
 
 
-def with_noise(found: IsolationPrediction, noise: np.ndarray) -> IsolationPrediction:
+@checked
+def with_noise(found: IsolationPrediction, noise: Float64[np.ndarray, " axes"]) -> IsolationPrediction:
     """With the largest command (N, of each axis) that the sensors' noise alone made added to the peaks."""
     rms, highest, peak = found.force
     return replace(found, force=np.array([rms, highest, np.maximum(highest, peak + noise)]))
