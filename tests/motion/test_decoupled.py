@@ -41,12 +41,30 @@ def accelerance(omega, ratio, out, into, hertz=HZ, delay=0.0):
     ("name", "place"),
     [
         ("real 1,2", ("1", "2")), ("imag_h21", ("2", "1")), ("phase y2/u1 (deg)", ("y2", "u1")), ("P.frf[1,2]", ("1", "2")),
-        ("magnitude 12 (m/s^2/N)", ("1", "2")), ("H_{y[0], u[1]}", ("0", "1")), ("frf 2+Z/10-X ((m/s2)/N)", ("2+Z", "10-X")),
+        ("magnitude 12 (m/s^2/N)", ("1", "2")), ("H_{y[0], u[1]}", ("y0", "u1")), ("frf 2+Z/10-X ((m/s2)/N)", ("2+Z", "10-X")),
         ("h ((rad/s^2)/(N m))[3,1]", ("3", "1")), ("frequency (Hz)", None), ("real 1", None), ("h (m/s^2/N)", None),
+        ("real u2->y1 (m/N)", ("y1", "u2")), ("real u2 to y1", ("y1", "u2")), ("imaginary from input 2 to output 1", ("output1", "input2")),
+        ("magnitude F2 X1", ("X1", "F2")), ("real y1 u2", ("y1", "u2")), ("real 2 \u2192 1", ("1", "2")), ("real a2/a1", ("a2", "a1")),
     ],
 )  # fmt: skip
 def test_a_name_states_output_and_input(name, place):
     assert places([name]).get(name) == place
+
+
+@pytest.mark.parametrize("name", ["real u2/y1", "real y1->u2"])
+def test_a_name_that_says_both_is_refused(name):
+    with pytest.raises(InputError, match="write it as output over input"):
+        places([name])
+
+
+def test_the_order_is_that_of_the_file_and_is_said(tmp_path):
+    seen = accelerance(*machine(2, 1))
+    named = {f"u{2 - i} to y{10 - o} (m/s^2/N)": seen[:, o, i] for o in range(2) for i in range(2)}
+    np.savez(tmp_path / "m.npz", **{"frequency (Hz)": HZ}, **named)
+    found = load_matrix(tmp_path / "m.npz")
+    assert found.outputs == ("y10", "y9") and found.inputs == ("u2", "u1")
+    assert np.allclose(found.accelerance, seen)
+    assert found.order.startswith("outputs in order: y10, y9; inputs in order: u2, u1 (u2 to y10 (m/s^2/N): output y10 ")
 
 
 def test_each_form_of_a_matrix_comes_out_as_it_went_in(tmp_path):
@@ -87,7 +105,7 @@ def test_a_universal_file_is_a_matrix_by_nodes_and_directions(tmp_path):
         ],
     )  # fmt: skip
     found = load_matrix(tmp_path / "m.uff")
-    assert found.outputs == ("1+Y", "1+Z") and np.allclose(found.accelerance[:, ::-1, ::-1], seen, rtol=1e-6)
+    assert found.outputs == ("1+Z", "1+Y") and np.allclose(found.accelerance, seen, rtol=1e-6)
 
 
 def test_one_response_is_no_matrix_and_a_part_of_one_is_refused(tmp_path):

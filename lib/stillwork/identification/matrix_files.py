@@ -22,6 +22,11 @@ from stillwork.signals.headings import column_unit, heading, in_hertz
 
 LEAST_LINES = 32
 PARTS = ("real", "imaginary", "magnitude", "phase", "coherence")
+ARROW = r"\s*(?:[-=]+>|\u2192|[\s_]to[\s_])\s*"
+WORDS = {
+    "output": ("y", "x", "z", "q", "out", "output", "sensor", "acc", "acceleration", "position", "response"),
+    "input": ("u", "f", "in", "input", "force", "actuator", "motor", "torque", "voltage", "current", "drive"),
+}
 
 
 class MatrixFile(NamedTuple):
@@ -35,26 +40,56 @@ class MatrixFile(NamedTuple):
     inputs: tuple[str, ...]
     units: tuple[str, str]  # of the positions and of what drives them
     notes: tuple[str, ...]
+    example: str  # how a name was read
+
+    @property
+    def order(self) -> str:
+        """Which labels are outputs and which inputs, in the order of the matrix, in words."""
+        return f"outputs in order: {', '.join(self.outputs)}; inputs in order: {', '.join(self.inputs)} ({self.example})"
 
 
 @checked
 def places(names: Collection[str]) -> dict[str, tuple[str, str]]:
     """Output and input of each name that states both.
 
-    ``h[2,1]``, ``H_{y[1], u[0]}``, ``real h21``, ``phase y2/u1 (deg)``, ``frf 2+Z/1+Z``.
+    ``h[2,1]``, ``H_{y[1], u[0]}``, ``real h21``, ``phase y2/u1 (deg)``, ``frf 2+Z/1+Z``: the output first. The other way
+    round where an arrow or "to" stands between them, or the words say so: ``u1->y2``, ``from 1 to 2``, ``F1 X2``.
+
+    Raises
+    ------
+    InputError
+        When a name says both.
     """
     found = {}
     for name in names:
         text, more = re.sub(r"\s#\d+\b", "", name), 1
         while more:
             text, more = re.subn(r"\([^()]*\)", " ", text)  # units
-        ends = re.search(r"(\S*\d\S*?)\s*/\s*(\S*\d\S*)", text)
-        words = [each.strip("[]{}_,") for each in ends.groups()] if ends else re.findall(r"\d+", text)
+        text = re.sub(ARROW, " -> ", text, flags=re.IGNORECASE)
+        arrow = "->" in text
+        ends = None if arrow else re.search(r"(\S*\d\S*?)\s*/\s*(\S*\d\S*)", text)
+        numbered = re.findall(r"([^\W\d_]*)[\s_.\[{#-]*(\d+)", text)
+        kinds = [_kind(word) for word, _ in numbered]
+        words = [number for _, number in numbered]
+        if len(numbered) == 2 and all(kinds):
+            words = ["".join(each) for each in numbered]
+        if ends:
+            words = [each.strip("[]{}_,") for each in ends.groups()]
         if len(words) == 1 and len(words[0]) == 2:
             words = list(words[0])
-        if len(words) == 2:
-            found[name] = (words[0], words[1])
+        if len(words) != 2:
+            continue
+        turned = kinds == ["input", "output"]
+        if (turned and ends) or (arrow and kinds == ["output", "input"]):
+            raise InputError(
+                f"{name}: it is not clear which is the output; write it as output over input, such as y2/u1"
+            )
+        found[name] = (words[1], words[0]) if turned or arrow else (words[0], words[1])
     return found
+
+
+def _kind(word: str) -> str:
+    return next((kind for kind, words in WORDS.items() if word.lower() in words), "")
 
 
 @checked(missing=True)
@@ -78,14 +113,16 @@ def load_matrix(file: str | Path, response_unit: str = "", force_unit: str = "")
     }
     entries: dict[tuple[str, str], dict[str, np.ndarray]] = {}
     columns |= complex_responses(arrays)
-    for name, place in places(columns).items():
+    try:
+        placed = places(columns)
+    except InputError as error:
+        raise InputError(f"{file.name}: {error}") from None
+    for name, place in placed.items():
         if columns[name].dtype.kind == "c" or heading(name).quantity in PARTS:
             entries.setdefault(place, {})[name] = columns[name]
     if len(entries) < 2:
         return None
-    outputs, inputs = (
-        tuple(sorted(dict.fromkeys(ends), key=_natural)) for ends in zip(*entries, strict=True)
-    )
+    outputs, inputs = (tuple(dict.fromkeys(ends)) for ends in zip(*entries, strict=True))  # as in the file
     try:
         if len(entries) != len(outputs) * len(inputs):
             raise InputError(
@@ -118,11 +155,11 @@ def load_matrix(file: str | Path, response_unit: str = "", force_unit: str = "")
     except InputError as error:
         raise InputError(f"{file.name}: {error}") from None
     hertz = hertz[kept]
+    place, names = next((each for each in entries.items() if each[0][0] != each[0][1]), [*entries.items()][-1])
+    example = f"{next(iter(names))}: output {place[0]} over input {place[1]}"
     accelerance = agreed.accelerance(2 * np.pi * hertz, seen[kept])
     return MatrixFile(
-        file.name, hertz, accelerance, coherent[kept], outputs, inputs, agreed.units, agreed.note
+        *(file.name, hertz, accelerance, coherent[kept], outputs, inputs, agreed.units, agreed.note),
+        example,
     )
 
-
-def _natural(label: str) -> tuple[tuple[int, ...], str]:
-    return tuple(map(int, re.findall(r"\d+", label))), label
