@@ -47,6 +47,27 @@ class MatrixFile(NamedTuple):
         """Which labels are outputs and which inputs, in the order of the matrix, in words."""
         return f"outputs in order: {', '.join(self.outputs)}; inputs in order: {', '.join(self.inputs)} ({self.example})"
 
+    def ordered(self, outputs: tuple[str, ...], inputs: tuple[str, ...]) -> "MatrixFile":
+        """The same with outputs and inputs in this order."""
+        rows, columns = (
+            [held.index(each) for each in wanted] if sorted(wanted) == sorted(held) else None
+            for wanted, held in ((outputs, self.outputs), (inputs, self.inputs))
+        )
+        if rows is None or columns is None:
+            raise InputError(
+                f"{self.source} holds outputs {', '.join(self.outputs)} and inputs {', '.join(self.inputs)}, wanted are "
+                f"{', '.join(outputs)} and {', '.join(inputs)}; name them alike"
+            )
+        place = np.ix_(np.arange(len(self.hertz)), rows, columns)
+        taken = {"accelerance": self.accelerance[place], "coherence": self.coherence[place]}
+        return self._replace(outputs=outputs, inputs=inputs, **taken)
+
+
+@checked
+def natural(label: str) -> tuple[tuple[int, ...], str]:
+    """What labels are sorted by: their numbers, then their letters."""
+    return tuple(map(int, re.findall(r"\d+", label))), label
+
 
 @checked
 def places(names: Collection[str]) -> dict[str, tuple[str, str]]:

@@ -14,9 +14,9 @@ import numpy as np
 from stillwork.base.checks import InputError, one_line, pluralise, require_array
 from stillwork.base.toml_files import Table
 from stillwork.control.machine_loops import in_hertz
-from stillwork.identification.machine import build_machine
+from stillwork.identification.machine import TURNED, build_machine
 from stillwork.identification.machine_files import load_machine
-from stillwork.identification.matrix_files import MatrixFile, load_matrix
+from stillwork.identification.matrix_files import LEAST_LINES, MatrixFile, load_matrix, natural
 from stillwork.machine.axes_loops import FORMAT, AxesLoops, paint_axes, paint_decoupling, sizes
 from stillwork.machine.c_code import axes_code
 from stillwork.machine.decoupled import (
@@ -32,11 +32,9 @@ from stillwork.machine.html_page import page, picture, table
 from stillwork.machine.inspect import inspect_file
 from stillwork.machine.machine_toml import open_machine_toml
 
-SLOWER, LEAST, ROUNDS = (
-    0.97,
-    0.05,
-    8,
-)  # of a bandwidth that would just do; the least share tried; designs of one axis
+SLOWER = 0.97  # of a bandwidth that would just do
+LEAST = 0.05  # of a bandwidth, the least share that is tried
+ROUNDS = 8  # of designs, after which the axes are refused
 HALVINGS = 7
 # A peak that is so little too large, as a factor: the axis is designed for more gain, by so many times as much and more.
 LITTLE, MORE, LEAST_MORE = 1.06, 1.5, 0.005
@@ -60,7 +58,7 @@ def read_axes(file: str, load_options: Mapping) -> Wanted | None:
     if path.suffix.lower() == ".toml":
         machine = open_machine_toml(path)
         table, path = machine.table("decoupling"), path.parent / str(machine["response"])
-        table.require_known(("sensing", "actuation", "axes", "units"))
+        table.require_known(("sensing", "actuation", "axes", "units", "outputs", "inputs"))
     if load_options.get("response"):
         return None
     matrix = load_matrix(path, load_options.get("response_unit", ""), load_options.get("force_unit", ""))
@@ -68,6 +66,7 @@ def read_axes(file: str, load_options: Mapping) -> Wanted | None:
         if table:
             raise InputError(f"{path.name} holds no matrix response; name its entries h11, h12, ...")
         return None
+    matrix = _ordered(matrix, table)
     ends = {"sensing": (None, len(matrix.outputs)), "actuation": (len(matrix.inputs), None)}
     given = {
         name: require_array(name, table[name], shape=shape) if name in table else None
@@ -97,9 +96,32 @@ def read_axes(file: str, load_options: Mapping) -> Wanted | None:
     return Wanted(matrix, path, sensing, actuation, names, units)
 
 
-def _candidates(wanted: Wanted) -> tuple[LowEnd | None, list[Axes]]:
+def _ordered(matrix: MatrixFile, table: Table) -> MatrixFile:
+    """The matrix in the order in which [decoupling] states its outputs and inputs; one that is not clear is refused."""
+    order = {"outputs": matrix.outputs, "inputs": matrix.inputs}
+    for (name, labels), given in zip(order.items(), ("sensing", "actuation"), strict=True):
+        if name in table:
+            order[name] = tuple(map(str, table[name]))
+        elif given in table and list(labels) != sorted(labels, key=natural):
+            raise InputError(
+                f"{matrix.source} holds its {name} in the order {', '.join(labels)}; state beside {given} the order in which it "
+                f"is, such as {name} = [{', '.join(map(json.dumps, labels))}]"
+            )
+    return matrix.ordered(**order)
+
+
+def _candidates(
+    wanted: Wanted, fit_hz: tuple[float, float] = (0.0, 0.0)
+) -> tuple[LowEnd | None, list[Axes]]:
     """Decouplings, the best first; what is given is taken as it is, and what is not made for it."""
     matrix, sensing, actuation = wanted.matrix, wanted.sensing, wanted.actuation
+    low, high = fit_hz if any(fit_hz) else (0.0, np.inf)
+    fitted = (matrix.hertz >= low) & (matrix.hertz <= high)
+    if fitted.sum() < LEAST_LINES:
+        raise InputError(
+            f"{matrix.source}: {int(fitted.sum())} lines from {low:g} to {high:g} Hz are too few; widen fit_hz"
+        )
+    matrix = matrix._replace(hertz=matrix.hertz[fitted], accelerance=matrix.accelerance[fitted])
     try:
         if sensing is None and actuation is None:
             return decouplings(matrix.hertz, matrix.accelerance)
@@ -124,7 +146,7 @@ def design_axes(
 
     `request` is the `DesignRequest` of all axes, `make` designs one: of a file, into a folder, with changes of the request.
     """
-    low, found = _candidates(wanted)
+    low, found = _candidates(wanted, request.fit_hz)
     whole = Path(folder).resolve()
     whole.parent.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory(dir=whole.parent, prefix=f".{whole.name}-") as beside:
@@ -150,28 +172,30 @@ def _first_fitted(wanted: Wanted, found: list[Axes], new: Path, fit_hz: tuple[fl
         inner = axes.of(wanted.matrix.accelerance)
         unsure = _unsure(wanted.matrix, axes)
         try:
-            for k, (position, drive) in enumerate(wanted.units):
+            for k, units in enumerate(wanted.units):
                 named = wanted.names[k]
-                unit = position if position.isalpha() else f"({position})"
-                own = inner[:, k, k]
-                turn = -1 if _below(wanted.matrix, own) < 0 else 1
-                axes.actuation[:, k] *= turn
-                name = f"h (({unit}/s^2)/({drive}))"
-                arrays = {"frequency (Hz)": wanted.matrix.hertz, name: turn * own}
+                arrays = {"frequency (Hz)": wanted.matrix.hertz, _heading(wanted, units): inner[:, k, k]}
                 if np.isfinite(unsure).any():
                     arrays["coherence"] = unsure[:, k]
                 file = new / f"axis-{k + 1}.npz"
                 np.savez(file, **arrays)
-                build_machine(load_machine(file), modes_hz=[], fit_hz=fit_hz, mirrored_sensor=False)
+                machine = build_machine(load_machine(file), modes_hz=[], fit_hz=fit_hz, mirrored_sensor=False)
+                if TURNED in machine.notes:
+                    raise InputError(
+                        "it moves against its force; turn the signs of its column of actuation, or of its row of sensing"
+                    )
             return axes
         except InputError as error:
             first = first or InputError(f"{named}, {axes.words}: {error}")
     raise InputError(f"{wanted.matrix.source}: {first}")
 
 
-def _below(matrix: MatrixFile, own: np.ndarray) -> float:
-    """Sign of what an axis does at the lowest lines, where the delay is short."""
-    return float(np.median(own[: max(8, len(own) // 50)].real))
+def _heading(wanted: Wanted, units: tuple[str, str]) -> str:
+    """Of an axis's response, with its unit unless that is only assumed."""
+    if wanted.matrix.notes and units == ("m", "N"):
+        return "h"
+    position, drive = units
+    return f"h (({position if position.isalpha() else f'({position})'}/s^2)/({drive}))"
 
 
 def _unsure(matrix: MatrixFile, axes: Axes) -> np.ndarray:
@@ -286,7 +310,13 @@ def _write(task: _Task, low: LowEnd | None, history: list[str], out: Path) -> li
     request, axes, wanted, judged = task.request, task.axes, task.wanted, task.closed.judged()
     matrix, count = wanted.matrix, len(wanted.names)
     folders = [f"axis-{k + 1}" for k in range(count)]
-    code = axes_code(axes.sensing, axes.actuation, folders, request.name, request.precision)
+    code = axes_code(
+        *(axes.sensing, axes.actuation, folders, request.name, request.precision),
+        signals=(
+            f"error[] in {matrix.units[0]}: {', '.join(matrix.outputs)}",
+            f"out[] in {matrix.units[1]}: {', '.join(matrix.inputs)}",
+        ),
+    )
     matrices = task.closed.sensitivities()
     sigma = {name: float(np.linalg.norm(each, 2, axis=(1, 2)).max()) for name, each in matrices.items()}
     shown = [
@@ -296,13 +326,13 @@ def _write(task: _Task, low: LowEnd | None, history: list[str], out: Path) -> li
     low_hz, high_hz = task.closed.lines()[[0, -1]] / (2 * np.pi)
     places = len(task.closed.places())
     answer = [
-        f"{matrix.source}: {pluralise(count, 'axis')}, {axes.words}; {', '.join(shown)}".replace(
-            "axiss", "axes"
-        ),
+        f"{matrix.source}: {'1 axis' if count == 1 else f'{count} axes'}, {axes.words}; {', '.join(shown)}",
         f"checked on the measured matrix from {low_hz:.4g} to {high_hz:.4g} Hz: {task.closed.stability(judged)}; largest |S_kk|, "
         f"all axes closed, {sizes(judged.peaks_db)} dB, and {sizes(judged.box_db)} dB at {places} places of the box",
         "not promised: what lies between the lines or beyond them, and modes that each move by themselves, for which an axis's own "
         "page holds its diagonal alone",
+        matrix.order,
+        *matrix.notes,
         *history,
     ]
     held = {
@@ -325,6 +355,7 @@ def _write(task: _Task, low: LowEnd | None, history: list[str], out: Path) -> li
         "decoupling": axes.words,
         "outputs": matrix.outputs,
         "inputs": matrix.inputs,
+        "units": matrix.units,
         "axes": [
             {"name": name, "units": units, "controller": f"{folder}/{request.name}_{k}.json"}
             for k, (name, units, folder) in enumerate(

@@ -42,8 +42,14 @@ class AxesLoops(NamedTuple):
         if shape != wanted:
             raise InputError(
                 f"{matrix.source} holds {shape[0]} outputs over {shape[1]} inputs, {file.name} is of {wanted[0]} over "
-                f"{wanted[1]}; give all responses of the design, in its order"
+                f"{wanted[1]}; give all responses of the design"
             )
+        if matrix.units != (units := tuple(about["units"])):
+            raise InputError(
+                f"{matrix.source} is in {' over '.join(matrix.units)}, {file.name} in {' over '.join(units)}; give the response in "
+                "the units of the design"
+            )
+        matrix = matrix.ordered(tuple(about["outputs"]), tuple(about["inputs"]))
         loops = [load_design(str(file.parent / each["controller"])) for each in about["axes"]]
         names = tuple(each["name"] for each in about["axes"])
         low, high = loop_hz if any(loop_hz) else about["band_hz"]

@@ -416,8 +416,9 @@ def axes_code(
     folders: Sequence[str],
     name: str,
     precision: str = "double",
+    signals: Sequence[str] = (),
 ) -> dict[str, str]:
-    """C99 of a decoupling around the controllers ``name_1``, ``name_2``, ... that the folders hold."""
+    """C99 of a decoupling around the controllers ``name_1``, ``name_2``, ... that the folders hold; `signals` in words."""
     write = Numbers(name, precision)
     (axes, sensors), actuators = sensing.shape, len(actuation)
     numbers = range(1, axes + 1)
@@ -431,6 +432,7 @@ def axes_code(
         "includes": "".join(
             f'#include "{folder}/{name}_{k}.h"\n' for k, folder in zip(numbers, folders, strict=True)
         ),
+        "signals": "".join(f"   {_comment(each)}\n" for each in signals),
         "sensors": sensors,
         "axes": axes,
         "actuators": actuators,

@@ -5,6 +5,7 @@ matrix R: of its accelerance where it is free to move, of its compliance where s
 diagonal; of the many that do, those are taken that leave least beside the diagonal above.
 """
 
+from collections.abc import Iterator
 from itertools import combinations
 from typing import NamedTuple
 
@@ -20,6 +21,8 @@ LEAST, ENDS = 10, 40  # lines of the fit at the low end; how many ends of it are
 CLOSE = 2.0  # times the least misfit, up to which the low end is made longer
 WORST_MISFIT, WORST_CONDITION = 0.3, 100.0  # of the fit, and of what it found, with all units scaled away
 FREE = 0.3  # of the accelerance at the lowest lines, that R has at least where the machine is free
+HIGHER, STARTS = 30.0, 12  # times the lowest line, up to which a later start is tried; how many are
+CLEAR_MISFIT = 0.1  # of the fit from there
 PEAKS = 4  # resonances that are tried to be kept in one axis
 STANDS_OUT = 0.7  # of the logarithm of a response, by which they do
 RESOLVED = 2.6  # radians, by which the determinant may turn from line to line
@@ -86,6 +89,17 @@ def low_end(hertz: Float64[np.ndarray, " lines"], accelerance: Complex128[np.nda
     return LowEnd(free, matrix, bend, end_hz, misfit, float(np.linalg.cond(matrix)))
 
 
+def _above_springs(hertz: np.ndarray, seen: np.ndarray) -> Iterator[LowEnd]:
+    """Low ends that begin at later lines and last for an octave, of a machine that is free above its suspension."""
+    for first in np.geomspace(2, HIGHER, STARTS) * hertz[0]:
+        start = np.searchsorted(hertz, first)
+        if len(hertz) - start < 2 * LEAST:
+            return
+        low = low_end(hertz[start:], seen[start:])
+        if low.free and low.misfit < CLEAR_MISFIT and low.end_hz > 2 * hertz[start]:
+            yield low
+
+
 @checked
 def decouplings(
     hertz: Float64[np.ndarray, " lines"], accelerance: Complex128[np.ndarray, "lines n n"]
@@ -98,12 +112,14 @@ def decouplings(
     rows, columns = scaled_alike(np.sqrt(np.mean(np.abs(accelerance[:LEAST]) ** 2, axis=0)))
     seen = rows[:, None] * accelerance * columns
     low = low_end(hertz, seen)
+    if not low.misfit < WORST_MISFIT:
+        low = next(_above_springs(hertz, seen), low)
     if not (low.misfit < WORST_MISFIT and low.condition < WORST_CONDITION):
         raise InputError(
             f"below {low.end_hz:.4g} Hz the response is no real matrix that can be inverted (misfit {100 * low.misfit:.2g} %, "
             f"condition {low.condition:.3g} with all units scaled away): fewer rigid-body modes than axes, some axes free "
-            "and others on springs, or noise; choose outputs and inputs that move independently, begin lower, or give "
-            "sensing and actuation"
+            "and others on springs, soft springs, or noise; choose outputs and inputs that move independently, begin above soft "
+            "springs, with fit_hz, or below stiff ones, or give sensing and actuation"
         )
     inverse, one = np.linalg.inv(low.matrix), np.eye(len(rows))
     moved = np.abs(np.linalg.eigvals(seen @ inverse)).max(axis=1) / hertz**2  # no unit counts in them

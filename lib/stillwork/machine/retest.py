@@ -33,7 +33,7 @@ from stillwork.machine.noisy_peak import ABOUT, largest
 from stillwork.machine.readings import believed
 
 AROUND = 1.5  # the crossing: lines from which the gain of a machine in its loop is read
-INSIDE = "in the box"
+INSIDE, HOLDS = "in the box", "the promise holds"
 MEDIAN = (
     1.4826 * 1.2533
 )  # deviation of a median of Gaussian numbers, over their median deviation by the root of how many
@@ -127,12 +127,15 @@ def _retest_axes(controller: Path, about: Table, file: str, target: Path, loop_h
     peaks = {
         name: {"|S_kk|": _peak(omega, own[:, k], 1 / alone[:, k])} for k, name in enumerate(closed.names)
     }
-    found = _Found({}, enough, count, [])
+    verdict = _verdict(_Found({}, True, count if enough else None, []), peaks)
     stability = f"extra turns of det(I + L) around zero: {count}"
+    if not enough:
+        stability = "the lines are too far apart, or end too early, to count turns"
+        verdict = f"not decided: {stability}; measure finer" if verdict == HOLDS else verdict
     lines = [
-        f"{matrix.source} with {controller.name}: {_verdict(found, peaks)}",
+        f"{matrix.source} with {controller.name}: {verdict}",
         "; ".join(f"{name} |S_kk| {each['|S_kk|']}" for name, each in peaks.items()),
-        stability if enough else "the lines are too far apart, or end too early, to count turns",
+        *(stability, closed.matrix.order, *matrix.notes),
     ]
     body = "".join(f"<p>{html.escape(line)}</p>\n" for line in lines)
     body += picture(paint_decoupling(closed), "responses before and behind the decoupling")
@@ -191,7 +194,7 @@ def _verdict(found: _Found, peaks: dict[str, dict[str, "Peak"]]) -> str:
     if not found.stable or found.turns or lowest > ALLOWED_DB:
         return "the promise does not hold; design again from this response"
     if highest <= ALLOWED_DB:
-        return "the promise holds"
+        return HOLDS
     return "not decided: at this noise the promise may hold or not; average longer near the peaks, or measure more lines"
 
 

@@ -26,7 +26,8 @@ void ${name}_sense(const ${name}_real y[$sensors], ${name}_real q[$axes]);
 void ${name}_actuate(const ${name}_real f[$axes], ${name}_real u[$actuators]);
 
 /* One sample without them: from the setpoint less the measurement of each sensor to the output of each actuator.
-   Returns the flags of all axes. */
+   Returns the flags of all axes.
+$signals*/
 unsigned ${name}_step(${name}_state *s, const ${name}_real error[$sensors], ${name}_real out[$actuators]);
 
 #ifdef __cplusplus
