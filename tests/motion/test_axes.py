@@ -10,6 +10,10 @@ from scipy import signal
 from motion.test_decoupled import HZ, accelerance, machine
 from shared.compiled import STRICT, call, pointer
 from stillwork.base.checks import InputError
+from stillwork.identification.machine_files import load_machine
+from stillwork.machine import retest
+from stillwork.machine.axes import _first_fitted, read_axes
+from stillwork.machine.decoupled import Axes
 from stillwork.machine.design import design_file
 from stillwork.machine.retest import retest_file
 
@@ -133,6 +137,7 @@ def test_what_is_missing_of_a_geometry_is_named(tmp_path):
         ("sensing = [[1.0, 0.0]]", "sensing"),
         ("sensing = [[1.0, 0.0, 0.0]]", "2 inputs"),
         ("sensor = 1", "unknown name 'sensor'"),
+        ("outputs = ['1', '2', '4']", "name them alike"),
         ("sensing = [[1.0, 0, 0], [0, 1.0, 0]]\naxes = ['z']", "1 and 2 of 2 axes"),
     ):
         (tmp_path / "my.toml").write_text(f'response = "plant.npz"\n[decoupling]\n{text}\n')
@@ -141,13 +146,52 @@ def test_what_is_missing_of_a_geometry_is_named(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+def test_the_order_of_a_geometry_is_stated_or_clear(tmp_path):
+    seen = accelerance(*machine(2, 3))
+    named = {f"y{10 - o}/u{i + 1} (m/s^2/N)": seen[:, o, i] for o in range(2) for i in range(2)}
+    np.savez(tmp_path / "plant.npz", **{"frequency (Hz)": HZ}, **named)
+    toml = tmp_path / "my.toml"
+    text = 'response = "plant.npz"\n[decoupling]\nsensing = [[1.0, 0.0], [0.0, 2.0]]\n'
+    toml.write_text(text)
+    with pytest.raises(InputError, match=r'outputs = \["y10", "y9"\]'):
+        read_axes(str(toml), {})
+    toml.write_text(text + 'outputs = ["y9", "y10"]\n')
+    matrix = read_axes(str(toml), {}).matrix
+    assert matrix.outputs == ("y9", "y10") and np.allclose(matrix.accelerance, seen[:, ::-1])
+
+
+def test_a_given_axis_that_moves_against_its_force_is_refused_and_not_turned(tmp_path):
+    omega, ratio, out, into = machine(2, 3)
+    seen = accelerance(omega, ratio, out, into)
+    np.savez(tmp_path / "plant.npz", **{"frequency (Hz)": HZ, "h (m/s^2/N)": seen})
+    sensing, actuation = np.linalg.inv(out[:, :2]), np.linalg.inv(into[:2]) * [1.0, -1.0]
+    text = f"[decoupling]\nsensing = {sensing.tolist()}\nactuation = {actuation.tolist()}\n"
+    (tmp_path / "my.toml").write_text(f'response = "plant.npz"\n{text}')
+    with pytest.raises(InputError, match="axis 2, as given: it moves against its force; turn the signs"):
+        design_file(str(tmp_path / "my.toml"), str(tmp_path / "out"), RATE)
+
+
+def test_an_assumed_unit_is_not_stated_of_an_axis(tmp_path):
+    omega, ratio, out, into = machine(2, 1)
+    seen = accelerance(omega, ratio, out, into)
+    for name, noted in (("h", True), ("h (m/s^2/N)", False)):
+        file = tmp_path / "plant.npz"
+        np.savez(file, **{"frequency (Hz)": HZ, name: seen})
+        wanted = read_axes(str(file), {})
+        given = Axes(np.linalg.inv(out[:, :2]), np.linalg.inv(into[:2]), "as given")
+        _first_fitted(wanted, [given], tmp_path, (0.0, 0.0))
+        assert bool(load_machine(tmp_path / "axis-1.npz").notes[1:]) is bool(wanted.matrix.notes) is noted
+
+
 def _controllers(folder):
     about = json.loads((folder / "axes.json").read_text())
     return [json.loads((folder / each["controller"]).read_text()) for each in about["axes"]]
 
 
 @pytest.mark.slow
-def test_a_retest_of_the_whole_holds_on_its_machine_and_not_on_one_that_has_changed(tmp_path, untuned):
+def test_a_retest_of_the_whole_holds_on_its_machine_and_not_on_one_that_has_changed(
+    tmp_path, untuned, monkeypatch
+):
     """By the poles of the changed machine's loops: stable, and unstable where an actuator has turned round or is strong."""
     omega, ratio, out, into = machine(2, 1)
     design(tmp_path, accelerance(omega, ratio, out, into))
@@ -160,6 +204,23 @@ def test_a_retest_of_the_whole_holds_on_its_machine_and_not_on_one_that_has_chan
         radius, peaks = closed_loop(sampled(omega, ratio, out, into * factors), tmp_path / "machine")
         holds = bool(radius < 1 and peaks.max() < 6.01)
         assert ("the promise holds" in said[0]) is holds is (name == "same"), said
+    turned = {f"h{o + 1}{i + 1} (m/s^2/N)": seen[:, o, i] * factors[i] for i in (1, 0) for o in (1, 0)}
+    for named, verdict in (
+        (turned, "the promise holds"),  # in another order, which is taken by the names
+        ({name.replace("2 ", "3 ").replace("h2", "h3"): each for name, each in turned.items()}, None),
+        ({name.replace("/N", "/A"): each for name, each in turned.items()}, None),
+    ):
+        np.savez(file, **{"frequency (Hz)": HZ}, **named)
+        if verdict:
+            said = retest_file(held, file, str(tmp_path / "reordered.html"))
+            assert verdict in said[0] and "outputs in order: 1, 2; inputs in order: 1, 2" in said[3]
+            continue
+        with pytest.raises(InputError, match=r"name them alike|in the units of the design"):
+            retest_file(held, file, str(tmp_path / "none.html"))
+    with monkeypatch.context() as patched:
+        patched.setattr(retest, "turns", lambda *_: (1, False))
+        said = retest_file(held, str(tmp_path / "same.npz"), str(tmp_path / "few.html"))
+        assert "not decided: the lines are too far apart" in said[0]
     with pytest.raises(InputError, match="is of 2 over 2"):
         np.savez(file, **{"frequency (Hz)": HZ, "h (m/s^2/N)": accelerance(*machine(3, 1))})
         retest_file(held, file, str(tmp_path / "other.html"))
@@ -194,6 +255,7 @@ void run(long samples, const double *error, double *out)
 }
 """
     (folder / "driver.c").write_text(driver)
+    assert "   error[] in m: 1, 2\n   out[] in N: 1, 2\n*/" in (folder / "controller.h").read_text()
     sources = ["controller.c", "axis-1/controller_1.c", "axis-2/controller_2.c"]
     call(["g++", "-std=c++17", "-x", "c++", *STRICT, "-fsyntax-only", sources[0]], folder)
     call(

@@ -64,7 +64,9 @@ def test_the_order_is_that_of_the_file_and_is_said(tmp_path):
     found = load_matrix(tmp_path / "m.npz")
     assert found.outputs == ("y10", "y9") and found.inputs == ("u2", "u1")
     assert np.allclose(found.accelerance, seen)
-    assert found.order.startswith("outputs in order: y10, y9; inputs in order: u2, u1 (u2 to y10 (m/s^2/N): output y10 ")
+    assert found.order.startswith(
+        "outputs in order: y10, y9; inputs in order: u2, u1 (u2 to y10 (m/s^2/N): output y10 "
+    )
 
 
 def test_each_form_of_a_matrix_comes_out_as_it_went_in(tmp_path):
@@ -137,6 +139,15 @@ def test_the_low_end_becomes_diagonal_whatever_the_units(n, springs_hz):
     other = decouplings(HZ, turned)[1][0]
     left = (interaction(axes.of(seen)) for axes, seen in ((best, seen), (other, turned)))
     assert other.words == best.words and next(left) == pytest.approx(next(left), rel=1e-3, abs=1e-7)
+
+
+@pytest.mark.parametrize("springs_hz", [4.0, 8.0])
+def test_a_machine_on_soft_springs_is_decoupled_above_them(springs_hz):
+    """By the true R of its bodies."""
+    true = machine(2, 2, springs_hz=springs_hz)
+    low, (axes, *_) = decouplings(HZ, accelerance(*true))
+    rigid = axes.sensing @ true[2][:, :2] @ true[3][:2] @ axes.actuation
+    assert low.free and interaction((rigid + 0j)[None])[0] < 0.05
 
 
 def test_what_has_fewer_rigid_bodies_than_axes_is_refused():

@@ -176,11 +176,12 @@ def load_matrix(file: str | Path, response_unit: str = "", force_unit: str = "")
     except InputError as error:
         raise InputError(f"{file.name}: {error}") from None
     hertz = hertz[kept]
-    place, names = next((each for each in entries.items() if each[0][0] != each[0][1]), [*entries.items()][-1])
+    place, names = next(
+        (each for each in entries.items() if each[0][0] != each[0][1]), [*entries.items()][-1]
+    )
     example = f"{next(iter(names))}: output {place[0]} over input {place[1]}"
     accelerance = agreed.accelerance(2 * np.pi * hertz, seen[kept])
     return MatrixFile(
         *(file.name, hertz, accelerance, coherent[kept], outputs, inputs, agreed.units, agreed.note),
         example,
     )
-

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from stillwork.base.checks import InputError, one_line, pluralise, require_array
+from stillwork.base.checks import InputError, one_line, require_array
 from stillwork.base.toml_files import Table
 from stillwork.control.machine_loops import in_hertz
 from stillwork.identification.machine import TURNED, build_machine
@@ -110,9 +110,7 @@ def _ordered(matrix: MatrixFile, table: Table) -> MatrixFile:
     return matrix.ordered(**order)
 
 
-def _candidates(
-    wanted: Wanted, fit_hz: tuple[float, float] = (0.0, 0.0)
-) -> tuple[LowEnd | None, list[Axes]]:
+def _candidates(wanted: Wanted, fit_hz: tuple[float, float] = (0.0, 0.0)) -> tuple[LowEnd | None, list[Axes]]:
     """Decouplings, the best first; what is given is taken as it is, and what is not made for it."""
     matrix, sensing, actuation = wanted.matrix, wanted.sensing, wanted.actuation
     low, high = fit_hz if any(fit_hz) else (0.0, np.inf)
