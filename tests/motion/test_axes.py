@@ -107,6 +107,9 @@ def test_axes_that_act_on_each_other_are_slowed_until_the_true_machine_holds(tmp
     out, into = np.hstack([out, 30.0 * np.eye(2)]), np.vstack([into, np.eye(2)[::-1]])
     said = design(tmp_path, accelerance(omega, ratio, out, into))
     assert any("slowed from" in line for line in said)
+    pages = [(tmp_path / "machine" / f"axis-{k}" / "report.html").read_text() for k in (1, 2)]
+    for k, page in enumerate(pages, 1):
+        assert ("slowed from" in page) is any(line.startswith(f"axis {k} slowed") for line in said)
     radius, peaks = closed_loop(sampled(omega, ratio, out, into), tmp_path / "machine")
     assert radius < 1 and peaks.max() < 6.05
 
@@ -131,6 +134,9 @@ def test_a_geometry_is_taken_with_more_sensors_than_axes(tmp_path, untuned):
 def test_what_is_missing_of_a_geometry_is_named(tmp_path):
     seen = accelerance(*machine(3, 3))[:, :, :2]
     np.savez(tmp_path / "plant.npz", **{"frequency (Hz)": HZ, "h (m/s^2/N)": seen})
+    np.savez(tmp_path / "two.npz", **{"frequency (Hz)": HZ, "h (m/s^2/N)": seen[:, :2]})
+    with pytest.raises(InputError, match="one matrix at a time"):
+        design_file([str(tmp_path / "two.npz")] * 2, str(tmp_path / "out"), RATE)
     with pytest.raises(InputError, match=r"plant\.npz holds 3 outputs and 2 inputs"):
         design_file(str(tmp_path / "plant.npz"), str(tmp_path / "out"), RATE)
     for text, message in (

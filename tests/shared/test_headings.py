@@ -487,6 +487,11 @@ def test_a_unit_beside_a_member_of_a_structure_is_that_of_its_name(tmp_path):
     savemat(tmp_path / "a.mat", {"frd": table | {"FrequencyUnit": "rad/TimeUnit"}})
     with pytest.raises(InputError, match="rad/TimeUnit"):
         load_machine(tmp_path / "a.mat")
+    savemat(tmp_path / "a.mat", {"frd": table | {"FrequencyUnit": "rad/TimeUnit", "TimeUnit": "seconds"}})
+    assert load_machine(tmp_path / "a.mat").accelerance.omega == pytest.approx(TURN * HZ)
+    savemat(tmp_path / "a.mat", {"frd": table | {"FrequencyUnit": "rad/TimeUnit", "TimeUnit": "minutes"}})
+    with pytest.raises(InputError, match="rad/TimeUnit"):
+        load_machine(tmp_path / "a.mat")
     savemat(tmp_path / "b.mat", {"s": {"title": "a plate", "parts": np.array(["x", "y"], dtype=object)}})
     with pytest.raises(InputError, match=r"s\.title \(text\), s\.parts_1"):
         read_arrays(tmp_path / "b.mat")

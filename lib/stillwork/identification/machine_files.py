@@ -407,7 +407,8 @@ def one_response(
         several := [name for each in pairs.values() for names in each if all(each) for name in names]
     ):
         raise InputError(
-            f"it holds several responses ({', '.join(several)}); choose with a part of their names as response, or leave some out"
+            f"it holds several responses ({', '.join(several)}); choose with a part of their names as response, or leave some out, "
+            "or name the entries of a matrix h11, h12, ..."
         )
     if not whole:
         raise InputError(

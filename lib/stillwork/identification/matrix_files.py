@@ -47,6 +47,7 @@ class MatrixFile(NamedTuple):
         """Which labels are outputs and which inputs, in the order of the matrix, in words."""
         return f"outputs in order: {', '.join(self.outputs)}; inputs in order: {', '.join(self.inputs)} ({self.example})"
 
+    @checked(missing=True)
     def ordered(self, outputs: tuple[str, ...], inputs: tuple[str, ...]) -> "MatrixFile":
         """The same with outputs and inputs in this order."""
         rows, columns = (

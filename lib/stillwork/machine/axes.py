@@ -4,6 +4,7 @@ import hashlib
 import html
 import json
 import shutil
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -236,6 +237,7 @@ class _Task:
         request, axes, name = self.request, self.axes, f"{self.request.name}_{k + 1}"
         folder = self.folder / f"axis-{k + 1}"
         shutil.rmtree(folder, ignore_errors=True)
+        print(f"{self.wanted.names[k]}:", file=sys.stderr, flush=True)
         # All axes' limits together keep that of each actuator; the sensors' noises are independent.
         share = len(self.wanted.names) * np.abs(axes.actuation[:, k]).max()
         lines = self.make(
@@ -367,6 +369,11 @@ def _write(task: _Task, low: LowEnd | None, history: list[str], out: Path) -> li
     }
     files = {**code, "axes.json": json.dumps(about, indent=1, allow_nan=False) + "\n"}
     files["report.html"] = _page(task, low, judged, sigma, answer)
+    for name, folder in zip(wanted.names, folders, strict=True):
+        told = [line for line in history if line.startswith((f"{name} slowed", f"{name} designed"))]
+        own = task.folder / folder / "report.html"
+        said = "".join(f"\n<p>Among the other axes: {html.escape(line)}</p>" for line in told)
+        own.write_text(own.read_text(encoding="utf-8").replace("</h1>", f"</h1>{said}", 1), encoding="utf-8")
     for name, text in files.items():
         (task.folder / name).write_text(text, encoding="utf-8")
     return [*answer, f"C and reasons: {out}: {', '.join(sorted([*files, *folders]))}"]

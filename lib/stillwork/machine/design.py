@@ -190,7 +190,11 @@ def design_file(
     request = DesignRequest(rate, **{name: asked[name] for name in own})
     options = {name: value for name, value in asked.items() if name not in own}
     single = [files] if isinstance(files, str) else files
-    if len(single) == 1 and (wanted := read_axes(single[0], options)):
+    if single and (wanted := read_axes(single[0], options)):
+        if len(single) > 1:
+            raise InputError(
+                f"{wanted.matrix.source} holds a matrix response; give one matrix at a time, or one response with response"
+            )
 
         def make(file: str, to: str, **changed) -> list[str]:
             return design_file(file, to, rate, verbose=True, **{name: asked[name] for name in own} | changed)

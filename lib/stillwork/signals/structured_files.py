@@ -115,6 +115,8 @@ def _arrays(path: Path) -> dict[str, np.ndarray]:
                 if not member.startswith("__"):
                     # As frd has FrequencyUnit.
                     unit = value.get(f"{member}Unit", value.get(f"{member}Units"))
+                    if isinstance(unit, str) and value.get("TimeUnit") == "seconds":
+                        unit = unit.replace("TimeUnit", "s")
                     walk(f"{name}.{member}" if name else member, each, unit)
         elif isinstance(value, list) or (isinstance(value, np.ndarray) and value.dtype.kind == "O"):
             for number, each in enumerate(np.ravel(value) if isinstance(value, np.ndarray) else value, 1):
