@@ -59,9 +59,8 @@ class MatrixFile(NamedTuple):
                 f"{self.source} holds outputs {', '.join(self.outputs)} and inputs {', '.join(self.inputs)}, wanted are "
                 f"{', '.join(outputs)} and {', '.join(inputs)}; name them alike"
             )
-        place = np.ix_(np.arange(len(self.hertz)), rows, columns)
-        taken = {"accelerance": self.accelerance[place], "coherence": self.coherence[place]}
-        return self._replace(outputs=outputs, inputs=inputs, **taken)
+        seen, sure = (each[:, rows][:, :, columns] for each in (self.accelerance, self.coherence))
+        return self._replace(outputs=outputs, inputs=inputs, accelerance=seen, coherence=sure)
 
 
 @checked
