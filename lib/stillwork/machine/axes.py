@@ -87,8 +87,8 @@ def read_axes(file: str, load_options: Mapping) -> Wanted | None:
         actuation is None and len(matrix.inputs) != count
     ):
         raise InputError(
-            f"{matrix.source} holds {len(matrix.outputs)} outputs and {len(matrix.inputs)} inputs; choose as many of each, or "
-            "give both sensing and actuation of a table [decoupling], or one response with --response"
+            f"{matrix.source} holds {len(matrix.outputs)} outputs and {len(matrix.inputs)} inputs ({matrix.example}); choose as "
+            "many of each, or give both sensing and actuation of a table [decoupling], or one response with --response"
         )
     names = tuple(map(str, table.get("axes", [f"axis {k + 1}" for k in range(count)])))
     units = tuple((str(y), str(u)) for y, u in table.get("units", [matrix.units] * count))
