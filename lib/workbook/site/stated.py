@@ -57,7 +57,8 @@ def page_of(topics: Iterable[tuple[str, str]], claims: Sequence[Claim]) -> str:
         "# What the papers conclude, and what we find",
         "",
         "A line for each conclusion, and for each claim of an abstract. Its verdict is the weakest of the statements that judge",
-        "it, of the numbers where no statement does; *not judged*: the paper states no number, or one that we cannot test.",
+        "it, over all combinations of open choices (*agrees under 3 of 4*), of the numbers where no statement does. A value is that",
+        "of our own settings. *Not judged*: the paper states no number, or one that we cannot test.",
     ]
     for topic, paper in topics:
         if mine := stated(topic, by_id):
@@ -79,6 +80,7 @@ def _row(each: Stated, claims: list[Claim]) -> str:
             if (printed := published_quantity(claim)) and printed != our_quantity(claim)
             else ""
         )
+        + (f", agrees under {over.agree} of {over.tried}" if (over := claim.over) and over.share is not None else "")
         for claim in claims
     )
     proxy = f"<br>*by proxy: {each.proxy}*" if each.proxy else ""
