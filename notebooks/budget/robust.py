@@ -157,6 +157,14 @@ def lost() -> dict[float, int]:
     return {size: max(boxed(design, size)[1] for design in ("AD", "MC and AD")) for size in SIZES}
 
 
+def best_where_lost(size: float) -> str:
+    """The uses that err least on the loud floors at the places of the box where AD, alone or with MC, is unstable."""
+    errors = [boxed(design, size)[0] for design in DESIGNS]
+    gone = np.isnan(errors[DESIGNS.index("AD")] + errors[DESIGNS.index("MC and AD")]).any(axis=1)
+    best = _best(errors)[np.ix_(gone, [FLOORS.index(name) for name in LOUD])]
+    return " or ".join(DESIGNS[k] for k in np.unique(best))
+
+
 def in_nanometres(size: float):
     """A row a floor: each design's error at the nominal stage and, behind it, its range over the box, nm."""
     from pandas import DataFrame

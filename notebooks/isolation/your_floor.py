@@ -193,15 +193,18 @@ def crossing(gains: np.ndarray, left: dict[str, np.ndarray]) -> str:
 WORTH = 0.9  # what a feedforward that pays leaves at most of the skyhook loop's motion, chosen
 
 
-def feedforward(gains: np.ndarray, left: dict[str, np.ndarray]) -> str:
-    """Whether the feedforward pays on this floor beside the skyhook loop alone, and from how loud a one."""
+def feedforward(gains: np.ndarray, left: dict[str, np.ndarray]) -> tuple[str, str]:
+    """Whether the feedforward pays on this floor beside the skyhook loop alone; and from how loud a one."""
     ratio = left["FeRLS"] / left["feedback"]
     here, gain = float(np.interp(0.0, np.log(gains), ratio)), _pays_from(gains, ratio / WORTH)
     pays = "pays" if here < WORTH else "does not pay"
-    off = f"it leaves at most {WORTH:g} of that loop's motion"
-    ends = {0.0: f"{off} on any", np.inf: f"not even {gains[-1]:.2g} times as loud a floor makes it"}
-    where = ends.get(gain, f"{off} from {gain:.2g} times this floor's amplitude on")
-    return f"The feedforward {pays} here: with it the platform moves {here:.2f} times as much as with the skyhook loop alone; {where}."
+    off = f"The feedforward leaves at most {WORTH:g} of the skyhook loop's motion"
+    ends = {
+        0.0: f"{off} on any floor tried.",
+        np.inf: f"{off} on no floor up to {gains[-1]:.2g} times as loud.",
+    }
+    where = ends.get(gain, f"{off} from {gain:.2g} times this floor's amplitude on.")
+    return f"The feedforward {pays}: it leaves {here:.2f} of the skyhook loop's motion.", where
 
 
 def _pays_from(gains: np.ndarray, ratio: np.ndarray) -> float:

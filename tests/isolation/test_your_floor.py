@@ -126,8 +126,8 @@ def test_the_level_at_which_the_loop_pays_is_interpolated():
 
 def test_the_feedforward_pays_where_it_takes_a_tenth_off_the_loop_alone():
     gains, flat = np.geomspace(0.1, 100, 7), np.ones(7)
-    told = feedforward(gains, {"feedback": flat, "FeRLS": 1.8 / gains})
-    assert "does not pay" in told and "1.80 times" in told and "from 2 times this floor's" in told
-    told = feedforward(gains, {"feedback": flat, "FeRLS": 0.5 * flat})
-    assert "pays here" in told and "0.50 times" in told and "on any" in told
-    assert "not even 1e+02 times as loud" in feedforward(gains, {"feedback": flat, "FeRLS": 0.95 * flat})
+    pays, where = feedforward(gains, {"feedback": flat, "FeRLS": 1.8 / gains})
+    assert "does not pay" in pays and "1.80 of" in pays and "from 2 times this floor's" in where
+    pays, where = feedforward(gains, {"feedback": flat, "FeRLS": 0.5 * flat})
+    assert "feedforward pays" in pays and "0.50 of" in pays and "on any floor" in where
+    assert "no floor up to 1e+02 times" in feedforward(gains, {"feedback": flat, "FeRLS": 0.95 * flat})[1]

@@ -80,7 +80,11 @@ def _row(each: Stated, claims: list[Claim]) -> str:
             if (printed := published_quantity(claim)) and printed != our_quantity(claim)
             else ""
         )
-        + (f", agrees under {over.agree} of {over.tried}" if (over := claim.over) and over.share is not None else "")
+        + (
+            f", agrees under {over.agree} of {over.tried}"
+            if (over := claim.over) and over.share is not None
+            else ""
+        )
         for claim in claims
     )
     proxy = f"<br>*by proxy: {each.proxy}*" if each.proxy else ""
