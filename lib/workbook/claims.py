@@ -291,6 +291,11 @@ class Claim:
         larger = self.ours > entry.published
         return "better" if entry.better == ("larger" if larger else "smaller") else "outside"
 
+    @property
+    def shown_here(self) -> str:
+        """`here` as a page shows it: ``not judged`` where the ledger does not judge it either."""
+        return "not judged" if self.verdict == "not judged" else self.here
+
     def _agrees(self) -> bool:
         entry = self.entry
         if not entry.is_fraction:
@@ -445,13 +450,13 @@ class ClaimsTable:
 
     def _rows(self) -> list[tuple[str, ...]]:
         head = ("claim", "place", "published", "ours", "interval", "unit", "here")
-        return [head, *((*claim.row(3), claim.here) for claim in self.claims)]
+        return [head, *((*claim.row(3), claim.shown_here) for claim in self.claims)]
 
     def _reasons(self) -> list[str]:
         """Each reason once, with those that share it."""
         shared: dict[str, list[str]] = {}
         for claim in self.claims:
-            if claim.entry.reason and claim.here not in AGREEMENT:
+            if claim.entry.reason and claim.shown_here not in AGREEMENT:
                 shared.setdefault(claim.entry.reason, []).append(claim.entry.id)
         return [
             f"{', '.join(ids) if len(ids) < 4 else f'{ids[0]} and {len(ids) - 1} others'}: {why}"

@@ -126,6 +126,8 @@ def test_what_is_wider_than_the_printed_value_cannot_replicate_it(rule, interval
     claim = Claim(entry(published=2.0, tolerance=Tolerance("x", **rule)), ours, interval)
     assert claim.verdict == verdict
     assert ("wider" in claim.unjudged) == (verdict == "not judged")
+    here = {"replicated": "inside", "not replicated": "outside"}.get(verdict, verdict)
+    assert repr(ClaimsTable([claim])).splitlines()[2].endswith(f"  {here}")
     over = Claim(claim.entry, ours, interval, over=SimpleNamespace(share=0.04))  # excluded under nearly all
     assert over.verdict == "not replicated"
     one_sided = entry(published=2.0, tolerance=Tolerance("x", **rule), better="larger")
