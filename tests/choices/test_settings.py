@@ -110,7 +110,7 @@ def test_three_hidden_settings_are_found_from_twelve_printed_numbers(paper):
     file.write_text(settings_text(dataclasses.replace(joint, settings=(asked, *others), never=never)))
     assert [ramp.axis, ramp.option] == ["shape", "ramp"]
     first, *rest, last = wanted(file, ["shape"], never=["table-1"])
-    assert first == "shape ramp: table-1.y1, table-1.y3" and last == "under no setting: table-1.y2"
+    assert first == "shape ramp: table-1.y1, table-1.y3" and last == "under no computed setting: table-1.y2"
     assert rest == ["shape sine: none", "shape decay (best joint): none"]
     with pytest.raises(InputError, match="shap"):
         wanted(file, ["shap"])
@@ -214,7 +214,34 @@ def test_numbers_of_two_settings_are_explained_by_none(paper):
     assert value(5, "ramp", 2, float(joint.best["gain"])) == pytest.approx(
         value(5, "ramp", 2, 0.83), abs=0.01
     )
-    assert report("motion", joint)[0].startswith("motion: no setting explains all: 7 of 12")
+    first, second, *_ = report("motion", joint)
+    assert first.startswith("motion: no setting explains all: 7 of 12")
+    assert second.startswith("at most 7 could")
+    first, second, *_ = report("motion", dataclasses.replace(joint, bound=12))
+    assert first.startswith("motion: none found among what was computed explains all: 7 of 12")
+
+
+def test_an_option_that_was_not_computed_supports_and_contradicts_nothing():
+    """Two of three options computed, both agreeing; then one of them not."""
+    for agrees, supports, contradicts in (
+        ([1, 1, -1], [0, 0, 0], [0, 0, 0]),
+        ([1, 0, -1], [1, 0, 0], [0, 1, 0]),
+    ):
+        number = Number("n", ("a",), np.array(agrees, np.int8))
+        found = best_joint([number], {"a": ["0", "1", "2"]}, {"a": 0}).settings
+        assert [len(each.supports) for each in found] == supports
+        assert [len(each.contradicts) for each in found] == contradicts
+
+
+def test_a_choice_that_decides_with_others_alone_tells():
+    """Each option agrees with some option of the other choice, but the default is worse at once."""
+    numbers = [
+        Number("n", ("a", "b"), np.array([[1, 0], [0, 1]], np.int8)),
+        Number("m", ("b",), np.array([0, 1], np.int8)),
+    ]
+    joint = best_joint(numbers, {"a": ["0", "1"], "b": ["0", "1"]}, {"a": 0, "b": 0})
+    (best,) = [each for each in joint.settings if each.axis == "a" and each.best]
+    assert (best.option, best.supports, best.contradicts, joint.telling) == ("1", (), (), {"a", "b"})
 
 
 def random_numbers(rng):
@@ -255,18 +282,21 @@ def test_the_best_joint_settings_are_those_of_brute_force():
         assert sum(not o.endswith("0") for o in best) == min(moved)
         if joint.tried == len(scores):  # all axes are linked
             assert joint.whole == sum(None not in row for row in found)
+        hoped = [sum(v != 0 for v in row) for row in found]
+        assert settings.most_at_best(numbers, options) == max(hoped)
+        told = {one.axis for one in joint.settings if one.supports or one.contradicts}
+        lower = {one.axis for one in joint.settings if one.agree < joint.agree}
+        assert joint.telling == told | lower
         for one in joint.settings:
             assert one.agree == max(score for each, score in scores.items() if one.option in each)
             touched = [n for n in numbers if one.axis in n.axes]
-            yes = [n.id for n in touched if any(one.option in s for s, v in tables[n.id].items() if v)]
-            some = [n.id for n in touched if any(tables[n.id].values())]
-            by_all = [
-                n.id
-                for n in touched
-                if all(any(o in s for s, v in tables[n.id].items() if v) for o in options[one.axis])
-            ]
-            assert one.supports == tuple(name for name in yes if name not in by_all)
-            assert one.contradicts == tuple(name for name in some if name not in yes)
+            supports, contradicts = [], []
+            for n in touched:
+                values = {o: {v for s, v in tables[n.id].items() if o in s} for o in options[one.axis]}
+                known = {o: 1 in each for o, each in values.items() if each}
+                if one.option in known and len(set(known.values())) == 2:
+                    (supports if known[one.option] else contradicts).append(n.id)
+            assert (one.supports, one.contradicts) == (tuple(supports), tuple(contradicts))
             assert one.indifferent == len(touched) - len(one.supports) - len(one.contradicts)
 
 

@@ -50,9 +50,10 @@ class Setting:
     agree : int
         How many numbers agree at once with it, at most.
     supports, contradicts : tuple of str
-        Numbers that agree with it and not with every option; that agree with another option alone.
+        Numbers that agree with it and not with every computed option; that were computed with it and agree with
+        another option alone.
     indifferent : int
-        Numbers that its choice touches and that agree with every option, or with none.
+        Numbers that its choice touches and that agree with every computed option, or with none.
     """
 
     axis: str
@@ -74,10 +75,12 @@ class Joint:
         Printed numbers that agree at once, of how many.
     settings : tuple of Setting
     lost, never : tuple of str
-        Numbers that agree under other settings only; that no setting explains.
+        Numbers that agree under other settings only; under none that was computed.
     tried, whole : int
         Combinations among which it is the best; those of them for which every number was computed. In the others those
         that were not computed count as not agreeing.
+    bound : int
+        How many numbers could agree at once, at most, were all that was not computed to agree.
     computed, possible : int
         Combinations of single studies that were computed, and how many there are.
     windows : tuple of Window
@@ -93,6 +96,7 @@ class Joint:
     never: tuple[str, ...]
     tried: int = 1
     whole: int = 1
+    bound: int = 0
     computed: int = 1
     possible: int = 1
     windows: tuple[Window, ...] = ()
@@ -103,12 +107,35 @@ class Joint:
         """Option of each axis."""
         return {each.axis: each.option for each in self.settings if each.best}
 
+    @property
+    def telling(self) -> set[str]:
+        """Axes whose options a number tells apart, or with one of which fewer were found to agree at once."""
+        return {
+            each.axis
+            for each in self.settings
+            if each.supports or each.contradicts or each.agree < self.agree
+        }
+
+    @property
+    def explained(self) -> str:
+        """What was found where not all agree at once."""
+        shown = self.bound < self.numbers
+        return "no setting explains all" if shown else "none found among what was computed explains all"
+
 
 def settings_text(joint: Joint) -> str:
     """Text of ``settings.csv``: a row begins with what it is."""
     text = io.StringIO()
     write = csv.writer(text, lineterminator="\n").writerow
-    counts = (joint.agree, joint.numbers, joint.tried, joint.whole, joint.computed, joint.possible)
+    counts = (
+        joint.agree,
+        joint.numbers,
+        joint.tried,
+        joint.whole,
+        joint.bound,
+        joint.computed,
+        joint.possible,
+    )
     write(["joint", *counts])
     for each in joint.settings:
         lists = [" ".join(each.supports), " ".join(each.contradicts)]
@@ -159,7 +186,7 @@ def wanted(file: Path, axes: Iterable[str], never: Iterable[str] = ()) -> list[s
     axes : iterable of str
         Choices, by their names in ``choices.toml``.
     never : iterable of str
-        Beginnings of ids, without their topic: those of them that agree under no setting have a line, too.
+        Beginnings of ids, without their topic: those of them that agree under no computed setting have a line, too.
 
     Raises
     ------
@@ -174,4 +201,4 @@ def wanted(file: Path, axes: Iterable[str], never: Iterable[str] = ()) -> list[s
             lines.append(f"{axis} {each.option}{' (best joint)' if each.best else ''}: {names}")
     starts = tuple(never)
     lost = [name for each in joint.never if (name := each.partition(".")[2]).startswith(starts)]
-    return lines + ([f"under no setting: {', '.join(lost)}"] if starts and lost else [])
+    return lines + ([f"under no computed setting: {', '.join(lost)}"] if starts and lost else [])

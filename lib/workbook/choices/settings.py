@@ -85,39 +85,72 @@ def compute_settings(topic: str | None = None, *, jobs: int | None = None) -> li
 def joint_settings(topic: str, windows: Sequence[Window]) -> Joint:
     """The best joint settings by the committed combinations and these windows."""
     axes, multiverses = load_axes(topic)
-    options = {axis.name: list(axis.texts) for axis in axes.values() if axis.kind != "seed"}
-    declared = {axis: len(texts) for axis, texts in options.items()}
-    defaults = {axis: axes[axis].default_index for axis in options}
+    full = {axis.name: list(axis.texts) for axis in axes.values() if axis.kind != "seed"}
+    declared = {axis: len(texts) for axis, texts in full.items()}
+    defaults = {axis: axes[axis].default_index for axis in full}
     for axis, text in [*(pair for each in windows for pair in each.others), *_between(windows)]:
-        options[axis] += [text] * (text not in options[axis])
-    numbers, found = _numbers(topic), {each.number for each in windows}
-    between = [_with_windows(number, windows, options) for number in numbers if number.id in found]
-    for axis in dict.fromkeys(each.axis for each in windows):
-        kept = _undominated(axis, declared[axis], len(options[axis]), between)
-        between = [_kept(number, axis, kept) for number in between]
-        options[axis] = [options[axis][k] for k in kept]
-    numbers = [_with_windows(number, windows, options) for number in numbers]
+        full[axis] += [text] * (text not in full[axis])
+    given, untried = _numbers(topic), _said(topic, "untried", full)
+
+    def thinned(*, hoped: bool) -> tuple[list[Number], dict[str, list[str]]]:
+        numbers, kept = _thinned(given, windows, full, declared, hoped=hoped)
+        return [_untried(number, untried, kept, defaults) for number in numbers], kept
+
+    bound = most_at_best(*thinned(hoped=True))
+    numbers, options = thinned(hoped=False)
     joint = best_joint(numbers, options, defaults)
     shown = [each for each in joint.settings if each.best or each.option in axes[each.axis].texts]
     return replace(
         joint,
         settings=tuple(shown),
+        bound=bound,
         windows=tuple(windows),
         computed=sum(len(design(each)) for each in multiverses),
         possible=sum(each.size for each in multiverses),
         equal={
-            says: as_one(mine, numbers, options, defaults) for says, mine in _equal(topic, options).items()
+            says: as_one(mine, numbers, options, defaults)
+            for says, mine in _said(topic, "equal", options).items()
         },
     )
 
 
-def _equal(topic: str, options: Iterable[str]) -> dict[str, list[str]]:
-    """Choices that are one setting of the paper, by the words that ``paper.toml`` has for it."""
+def _said(topic: str, name: str, options: Iterable[str]) -> dict[str, list[str]]:
+    """What ``paper.toml`` says of several choices: ``equal``, which are one setting; ``untried``, of which numbers."""
     file = paths.data(topic, "paper.toml")
-    given = read_toml(file).get("equal", {}) if file.exists() else {}
-    for axis in (each for mine in given.values() for each in mine):
-        require_choice(f"{file}: equal", axis, options)
+    given = read_toml(file).get(name, {}) if file.exists() else {}
+    for axis in given if name == "untried" else (each for mine in given.values() for each in mine):
+        require_choice(f"{file}: {name}", axis, options)
     return given
+
+
+def _thinned(
+    numbers: list[Number], windows: Sequence[Window], full: dict, declared: dict[str, int], *, hoped: bool
+) -> tuple[list[Number], dict[str, list[str]]]:
+    """With what the windows decide, and the options that no other outdoes, even where `hoped`: what was not computed agrees."""
+    found, options = {each.number for each in windows}, dict(full)
+    between = [_with_windows(number, windows, options) for number in numbers if number.id in found]
+    if hoped:
+        between = _hoped(between)
+    for axis in dict.fromkeys(each.axis for each in windows):
+        kept = _undominated(axis, declared[axis], len(options[axis]), between, hoped=hoped)
+        between = [_kept(number, axis, kept) for number in between]
+        options[axis] = [options[axis][k] for k in kept]
+    return [_with_windows(number, windows, options) for number in numbers], options
+
+
+def _hoped(numbers: list[Number]) -> list[Number]:
+    """With what was not computed taken as agreeing."""
+    return [replace(number, agrees=(number.agrees != 0).astype(np.int8)) for number in numbers]
+
+
+def _untried(number: Number, untried: dict, options: dict, defaults: dict[str, int]) -> Number:
+    """With the choices that move it and that its study holds: known at their defaults alone."""
+    for axis, begins in untried.items():
+        if axis not in number.axes and any(f"{number.id}.".startswith(f"{each}.") for each in begins):
+            table = np.full((*number.agrees.shape, len(options[axis])), -1, np.int8)
+            table[..., defaults[axis]] = number.agrees
+            number = Number(number.id, (*number.axes, axis), table)
+    return number
 
 
 def _numbers(topic: str) -> list[Number]:
@@ -170,13 +203,18 @@ def _with_windows(number: Number, windows: Iterable[Window], options: dict[str, 
     return replace(number, agrees=table)
 
 
-def _undominated(axis: str, declared: int, count: int, numbers: list[Number]) -> list[int]:
-    """The declared options, and of the others those with which more agrees, or other numbers, than with any that is kept."""
+def _undominated(
+    axis: str, declared: int, count: int, numbers: list[Number], *, hoped: bool = False
+) -> list[int]:
+    """The declared options, and of the others those with which more agrees, or other numbers, than with any that is kept.
+
+    Where it is `hoped` that what was not computed agrees, a declared option outdoes no other: more was computed with it.
+    """
     kept = list(range(declared))
     if count > declared:
         agree = np.hstack([number.by(axis) == 1 for number in numbers if axis in number.axes])
         for k in sorted(range(declared, count), key=lambda k: -agree[k].sum()):
-            if not any((agree[k] <= agree[other]).all() for other in kept):
+            if not any((agree[k] <= agree[other]).all() for other in kept[declared * hoped :]):
                 kept.append(k)
     return kept
 
@@ -228,16 +266,31 @@ def best_joint(numbers: list[Number], options: dict[str, list[str]], defaults: d
     agree = sum(number.at(best) for number in numbers)
     settings = []
     for axis, texts in options.items():
-        touched = {each.id: (each.by(axis) == 1).any(axis=1) for each in numbers if axis in each.axes}
-        divided = {name: under for name, under in touched.items() if 0 < under.sum() < len(texts)}
+        touched = {each.id: each.by(axis).max(axis=1) for each in numbers if axis in each.axes}
+        divided = {name: under for name, under in touched.items() if {0, 1} <= {*under.tolist()}}
         for k, text in enumerate(texts):
-            supports = tuple(name for name, under in divided.items() if under[k])
-            contradicts = tuple(name for name, under in divided.items() if not under[k])
+            supports = tuple(name for name, under in divided.items() if under[k] == 1)
+            contradicts = tuple(name for name, under in divided.items() if under[k] == 0)
             most, rest = agree - loses.get(axis, [0] * len(texts))[k], len(touched) - len(divided)
             settings.append(Setting(axis, text, k == best[axis], most, supports, contradicts, rest))
     never = tuple(number.id for number in numbers if not (number.agrees == 1).any())
     lost = tuple(n.id for n in numbers if not n.at(best) and n.id not in never)
     return Joint(agree, len(numbers), tuple(settings), lost, never, max(tried, 1), max(whole, 1))
+
+
+def most_at_best(numbers: list[Number], options: dict[str, list[str]]) -> int:
+    """How many numbers agree at once at most, what was not computed taken as agreeing."""
+    moving = [_without_idle(number) for number in _hoped(numbers)]
+    total = sum(int(number.agrees) for number in moving if not number.axes)
+    for names in _linked(moving):
+        scores: dict[tuple[str, ...], np.ndarray] = {
+            (axis,): np.zeros(len(options[axis]), np.int32) for axis in names
+        }
+        for each in moving:
+            if each.axes and each.axes[0] in names:
+                scores[each.axes] = scores.get(each.axes, 0) + each.agrees.astype(np.int32)
+        total += eliminate(list(scores.items()), np.add, np.max)[0]
+    return total
 
 
 def _agreeing(score) -> int:
@@ -364,17 +417,18 @@ def meetings(windows: Iterable[Window]) -> list[Meeting]:
 
 def report(topic: str, joint: Joint) -> list[str]:
     """The result as lines of text."""
-    all_ = "all" if joint.agree == joint.numbers else f"no setting explains all: {joint.agree} of"
+    all_ = "all" if joint.agree == joint.numbers else f"{joint.explained}: {joint.agree} of"
     lines = [
         f"{topic}: {all_} {joint.numbers} printed numbers agree at once, calibrated among {joint.tried} combinations",
+        f"at most {joint.bound} could, were what was not computed to agree",
         f"put together from {joint.computed} of {joint.possible} combinations of single studies; "
         f"for {joint.whole} every number was computed, in the others what was not counts as not agreeing",
-        f"{len(joint.lost)} agree under other settings only, {len(joint.never)} under none",
+        f"{len(joint.lost)} agree under other settings only, {len(joint.never)} under none that was computed",
     ]
     for says, by_option in joint.equal.items():
         each = ", ".join(f"{agree} with {option}" for option, agree in by_option.items())
         lines.append(f"with {says} in all of the paper at most {each}")
-    telling = (each for each in joint.settings if each.best and (each.supports or each.contradicts))
+    telling = (each for each in joint.settings if each.best and each.axis in joint.telling)
     best = ", ".join(f"{each.axis} {each.option}" for each in telling)
     return [
         *lines,

@@ -178,7 +178,6 @@ def _choice_pages(render, topics: list[dict]) -> dict[str, bytes]:
             files[f"choices/{name}.html"] = render("choices.html", "../", topic=topic, curves=topic["curves"])
         if joint:
             axes, multiverses = load_axes(name)
-            telling = {each.axis for each in joint.settings if each.supports or each.contradicts}
             files[f"settings/{name}.html"] = render(
                 "settings.html",
                 "../",
@@ -188,8 +187,8 @@ def _choice_pages(render, topics: list[dict]) -> dict[str, bytes]:
                 searched={axis: ends for one in multiverses for axis, ends in one.windows.items()},
                 unsearched=unsearched(multiverses),
                 equal=topic["equal"],
-                telling=telling,
-                silent=sorted({each.axis for each in joint.settings} - telling),
+                telling=joint.telling,
+                silent=sorted({each.axis for each in joint.settings} - joint.telling),
                 drawn=bars(joint),
             )
     return files

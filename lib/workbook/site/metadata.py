@@ -21,6 +21,7 @@ PAPER = {
     "hero": "",
     "limits": [],
     "equal": {},
+    "untried": {},
     "on": "",
     "moving": "",
     "found": [],
