@@ -290,14 +290,16 @@ def test_the_best_joint_settings_are_those_of_brute_force():
         for one in joint.settings:
             assert one.agree == max(score for each, score in scores.items() if one.option in each)
             touched = [n for n in numbers if one.axis in n.axes]
-            supports, contradicts = [], []
+            supports, contradicts, rest = [], [], 0
             for n in touched:
                 values = {o: {v for s, v in tables[n.id].items() if o in s} for o in options[one.axis]}
                 known = {o: 1 in each for o, each in values.items() if each}
-                if one.option in known and len(set(known.values())) == 2:
+                divided = len(set(known.values())) == 2
+                rest += not divided
+                if one.option in known and divided:
                     (supports if known[one.option] else contradicts).append(n.id)
             assert (one.supports, one.contradicts) == (tuple(supports), tuple(contradicts))
-            assert one.indifferent == len(touched) - len(one.supports) - len(one.contradicts)
+            assert one.indifferent == rest
 
 
 @pytest.mark.parametrize("axes", ["ab", "ace"])
@@ -340,6 +342,22 @@ def test_the_last_axis_of_many_is_eliminated_exactly():
             np.add,
             np.max,
         )
+
+
+def test_a_choice_that_a_study_holds_leaves_its_numbers_unknown(workbook):
+    """Away from the default at which they were computed nothing is known of them; of others it says nothing."""
+    number = Number("motion.table-1.y1", ("shape",), np.array([1, 0], np.int8))
+    options, defaults = {"shape": ["a", "b"], "floor": ["1", "2"]}, {"shape": 0, "floor": 1}
+    found = settings._untried(number, {"floor": ["motion.table-1"]}, options, defaults)
+    assert found.axes == ("shape", "floor") and found.agrees.tolist() == [[-1, 1], [-1, 0]]
+    joint = best_joint([found], options, defaults)
+    assert [each.agree for each in joint.settings] == [1, 0, 0, 1]
+    assert not joint.settings[2].contradicts
+    assert settings._untried(number, {"floor": ["motion.table"]}, options, defaults) == number
+    workbook(CHOICES, "\n".join(map(ENTRY.format, NAMES, range(12))))
+    paths.data("motion", "paper.toml").write_text('untried = { floor = ["motion.table-1"] }')
+    with pytest.raises(InputError, match="untried"):
+        joint_settings("motion", [])
 
 
 def test_half_a_printed_digit_may_be_finer_than_the_tolerance(workbook):
