@@ -132,7 +132,7 @@ def test_what_moved_is_said_by_the_build_and_taken_over(accepted):
     toy.replace("lib/experiments/isolation/model.py", "2.0", "2.1")
     toy.replace("notebooks/isolation/01-first.ipynb", "size=3)", "size=3) + gain(level)")
     said = toy.run("figures").stdout.splitlines()
-    assert "moved: isolation/01-first: figure fig-1, cell claim, cell claims, claim isolation.gain" in said
+    assert "moved: isolation/01-first: figure fig-1, cell claims, claim isolation.gain" in said
     assert "verdict moved: isolation.gain: inside -> outside" in said
     assert said[-1].startswith("1 of 2 pictures agree") and "1 verdicts moved" in said[-1]
     done = toy.run("accept")

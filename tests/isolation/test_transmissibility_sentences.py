@@ -38,7 +38,7 @@ def test_the_sentences_have_the_numbers_of_the_run_with_another_floor(monkeypatc
             round(ours["isolation.fig-7.upper-end"]),
         )
         share = ours["isolation.fig-7.integrators-leave"]
-        assert f"leave {share:.0%} at 3 Hz" in page.conclusions[3]
+        assert f"leave {share:.0%} at 3 Hz" in page.conclusions[4]
         said.append(page.conclusions)
-    assert len(said[0]) == len(said[1]) == 5
+    assert len(said[0]) == len(said[1]) == 6
     assert said[0][0] != said[1][0]
