@@ -441,9 +441,7 @@ def paint_location_errors(study: LocationStudy, cases: Sequence[str]):
             line.set_label("constant velocity between")
             level = {"color": figures.RED, "linewidth": 1.2, "label": "printed rms"}
             axis.plot(study.setpoint.scan, [printed] * 2, **level)
-            title = (
-                f"{case}, {word} rms: {size[k]:.1f} nm (printed {printed:.1f}), at {study.places[k]:.2f} m"
-            )
+            title = f"{case}, {word} rms {size[k]:.1f} nm (printed {printed:.1f}), {study.places[k]:.2f} m"
             axis.set_title(title, fontsize=7)
     figures.legend_below(axes[0, 0], 4, fontsize=7)
     figures.label(axes, "time (s)", "error (nm)")
