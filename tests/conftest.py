@@ -1,5 +1,8 @@
 import gc
+import json
 import os
+import shutil
+import subprocess
 import sys
 from pathlib import Path
 
@@ -50,3 +53,27 @@ def as_a_person(monkeypatch):
 def types_are_checked():
     """Each test checks the types of all functions that it calls, whatever the tests before it called."""
     typecheck.begin_again()
+
+
+@pytest.fixture(scope="session")
+def node(tmp_path_factory):
+    """``node(calls)``: results of calls (module, name, *arguments) of the desk's modules."""
+    from stillwork.machine.desk_page import modules  # not before the types of what it imports can be checked
+    from workbook import paths
+
+    if shutil.which("node") is None:
+        pytest.skip("node is not installed, which runs the desk's modules: apt-get install nodejs")
+    folder = tmp_path_factory.mktemp("modules")
+    for name, text in modules().items():
+        (folder / name).write_text(text, encoding="utf-8")
+    (folder / "package.json").write_text('{"type": "module"}')
+
+    def run(calls):
+        asked = [{"module": each[0], "name": each[1], "arguments": each[2:]} for each in calls]
+        command = ["node", str(paths.root() / "tests" / "desk" / "run.mjs"), str(folder)]
+        text = json.dumps(asked, default=lambda value: value.tolist())
+        done = subprocess.run(command, input=text, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        return json.loads(done.stdout)
+
+    return run

@@ -1,4 +1,4 @@
-"""What the terminal tells of a variant: its place, and the claims that moved."""
+"""What the terminal says of a variant: its place, and the claims that moved."""
 
 import json
 import shutil

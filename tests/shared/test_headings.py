@@ -1,10 +1,7 @@
 """Names of columns: what each states is read right or refused, in every file and on the desk's page alike."""
 
 import itertools
-import json
 import math
-import shutil
-import subprocess
 
 import numpy as np
 import pytest
@@ -15,7 +12,6 @@ from scipy.io import savemat
 from stillwork.base.checks import InputError
 from stillwork.base.toml_files import read_toml
 from stillwork.identification.machine_files import load_machine, load_ratio
-from stillwork.machine.desk_page import modules
 from stillwork.machine.inspect import inspect_file
 from stillwork.machine.report import report_file
 from stillwork.signals.datafiles import read_arrays
@@ -224,21 +220,11 @@ def test_a_header_of_the_trade_is_read_right_or_refused(name):
 
 
 @pytest.mark.slow
-def test_a_header_says_on_the_page_what_it_says_in_a_file(tmp_path):
-    if shutil.which("node") is None:
-        pytest.skip("node is not installed, which runs the desk's modules: apt-get install nodejs")
-    for name, text in modules().items():
-        (tmp_path / name).write_text(text, encoding="utf-8")
-    (tmp_path / "package.json").write_text('{"type": "module"}')
-    call = 'import { heading } from "./headings.js"; import { readFileSync } from "node:fs";'
-    call += "console.log(JSON.stringify(JSON.parse(readFileSync(0)).map(heading)));"
-    (tmp_path / "run.js").write_text(call)
+def test_a_header_says_on_the_page_what_it_says_in_a_file(node):
     names = list(HEADERS) + [written for written, *_ in every_writing()]
-    done = subprocess.run(
-        ["node", "run.js"], cwd=tmp_path, input=json.dumps(names), capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
-    for name, there in zip(names, json.loads(done.stdout), strict=True):
+    found = node([("headings.js", "heading", name) for name in names])
+    for name, result in zip(names, found, strict=True):
+        there = result["value"]
         here, unit = heading(name), there["means"] or {}
         assert (here.quantity, here.unit, here.unknown, here.strange) == tuple(
             there[each] for each in ("quantity", "unit", "unknown", "strange")
