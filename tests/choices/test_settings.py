@@ -283,10 +283,10 @@ def test_the_best_joint_settings_are_those_of_brute_force():
         if joint.tried == len(scores):  # all axes are linked
             assert joint.whole == sum(None not in row for row in found)
         hoped = [sum(v != 0 for v in row) for row in found]
-        assert settings.most_at_best(numbers, options) == max(hoped)
-        told = {one.axis for one in joint.settings if one.supports or one.contradicts}
+        assert settings.most_at_best(numbers) == max(hoped)
+        divided = {one.axis for one in joint.settings if one.supports or one.contradicts}
         lower = {one.axis for one in joint.settings if one.agree < joint.agree}
-        assert joint.telling == told | lower
+        assert joint.telling == divided | lower
         for one in joint.settings:
             assert one.agree == max(score for each, score in scores.items() if one.option in each)
             touched = [n for n in numbers if one.axis in n.axes]

@@ -96,7 +96,8 @@ def joint_settings(topic: str, windows: Sequence[Window]) -> Joint:
         numbers, kept = _thinned(given, windows, full, declared, hoped=hoped)
         return [_untried(number, untried, kept, defaults) for number in numbers], kept
 
-    bound = most_at_best(*thinned(hoped=True))
+    hopeful, _ = thinned(hoped=True)
+    bound = most_at_best(hopeful)
     numbers, options = thinned(hoped=False)
     joint = best_joint(numbers, options, defaults)
     shown = [each for each in joint.settings if each.best or each.option in axes[each.axis].texts]
@@ -249,12 +250,11 @@ def best_joint(numbers: list[Number], options: dict[str, list[str]], defaults: d
     best, loses, tried, whole = dict(defaults), {}, 0, 0
     for names in _linked(moving):
         mine = [number for number in moving if number.axes and number.axes[0] in names]
-        scores: dict[tuple[str, ...], np.ndarray] = {
+        moved = {
             (axis,): -np.not_equal(range(len(options[axis])), defaults[axis]).astype(np.int32)
             for axis in names
         }
-        for each in mine:
-            scores[each.axes] = scores.get(each.axes, 0) + np.int32(AGREES) * (each.agrees == 1)
+        scores = _summed(mine, AGREES, moved)
         score, places = eliminate(list(scores.items()), np.add, np.max)
         best |= places
         for axis in names:
@@ -278,19 +278,18 @@ def best_joint(numbers: list[Number], options: dict[str, list[str]], defaults: d
     return Joint(agree, len(numbers), tuple(settings), lost, never, max(tried, 1), max(whole, 1))
 
 
-def most_at_best(numbers: list[Number], options: dict[str, list[str]]) -> int:
+def most_at_best(numbers: list[Number]) -> int:
     """How many numbers agree at once at most, what was not computed taken as agreeing."""
-    moving = [_without_idle(number) for number in _hoped(numbers)]
-    total = sum(int(number.agrees) for number in moving if not number.axes)
-    for names in _linked(moving):
-        scores: dict[tuple[str, ...], np.ndarray] = {
-            (axis,): np.zeros(len(options[axis]), np.int32) for axis in names
-        }
-        for each in moving:
-            if each.axes and each.axes[0] in names:
-                scores[each.axes] = scores.get(each.axes, 0) + each.agrees.astype(np.int32)
-        total += eliminate(list(scores.items()), np.add, np.max)[0]
-    return total
+    scores = _summed([_without_idle(number) for number in _hoped(numbers)], 1, {(): np.zeros((), np.int32)})
+    return int(eliminate(list(scores.items()), np.add, np.max)[0])
+
+
+def _summed(numbers: Iterable[Number], weight: int, start: dict) -> dict[tuple[str, ...], np.ndarray]:
+    """A table for each set of choices: `weight` for every number of it that agrees, beside those of `start`."""
+    scores = dict(start)
+    for each in numbers:
+        scores[each.axes] = np.asarray(scores.get(each.axes, 0) + np.int32(weight) * (each.agrees == 1))
+    return scores
 
 
 def _agreeing(score) -> int:
