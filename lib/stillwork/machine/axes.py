@@ -370,9 +370,9 @@ def _write(task: _Task, low: LowEnd | None, history: list[str], out: Path) -> li
     files = {**code, "axes.json": json.dumps(about, indent=1, allow_nan=False) + "\n"}
     files["report.html"] = _page(task, low, judged, sigma, answer)
     for name, folder in zip(wanted.names, folders, strict=True):
-        told = [line for line in history if line.startswith((f"{name} slowed", f"{name} designed"))]
+        changes = [line for line in history if line.startswith((f"{name} slowed", f"{name} designed"))]
         own = task.folder / folder / "report.html"
-        said = "".join(f"\n<p>Among the other axes: {html.escape(line)}</p>" for line in told)
+        said = "".join(f"\n<p>Among the other axes: {html.escape(line)}</p>" for line in changes)
         own.write_text(own.read_text(encoding="utf-8").replace("</h1>", f"</h1>{said}", 1), encoding="utf-8")
     for name, text in files.items():
         (task.folder / name).write_text(text, encoding="utf-8")

@@ -14,7 +14,7 @@ from stillwork.control.bandwidth import SIX_DB
 from stillwork.control.pid import Pid
 from stillwork.identification.matrix_files import MatrixFile
 from stillwork.machine import pictures
-from stillwork.machine.decoupled import Axes, Judged, interaction, judge
+from stillwork.machine.decoupled import Axes, Judged, interaction, judge, own_sensitivities
 from stillwork.machine.designed_loop import DesignedLoop, load_design
 
 FORMAT = "stillwork axes 1"
@@ -82,16 +82,11 @@ class AxesLoops(NamedTuple):
         found, parts = [], self.parts()
         own = (parts / parts.sum(axis=1, keepdims=True)).real
         for move, gain in places:
-            omega = self.lines(move)
-            held = []
+            omega, held = self.lines(move), []
             for each in self.loops:
-                more = each.made["delay_samples_of_the_loop"] - self.delay
                 model = each.loop.plant.frequency_response(omega / (1 + move))[0, 0] / (1 + move) ** 2
-                held.append(
-                    model * self._late(omega, more)
-                    + each.loop.plant_at(omega)
-                    - each.loop.plant_at(omega, held=False)
-                )
+                late = self._late(omega, each.made["delay_samples_of_the_loop"])
+                held.append(model * late + _aliases(each, omega))
             found.append(1 + np.stack(held, axis=1) * self._controllers(move, slower) * (own @ gain))
         return found
 
@@ -105,10 +100,10 @@ class AxesLoops(NamedTuple):
         first = np.searchsorted(self.matrix.hertz, self.band_hz[0])
         return self.matrix.accelerance[first : first + count]
 
-    def _late(self, omega: np.ndarray, more: float = 0.0) -> np.ndarray:
-        """The hold, the delay, and some samples more."""
+    def _late(self, omega: np.ndarray, delay: float) -> np.ndarray:
+        """The hold, and a delay in samples."""
         turn = 1j * omega / self.rate
-        return -np.expm1(-turn) / turn * np.exp(-turn * (self.delay + more))
+        return -np.expm1(-turn) / turn * np.exp(-turn * delay)
 
     def judge(self, places, slower: np.ndarray | None = None) -> Judged:
         """All loops at places of the box, the middle first; with `slower` as of `gains`."""
@@ -126,12 +121,12 @@ class AxesLoops(NamedTuple):
         Aliases are taken from the model of each axis, and so off the diagonal there are none.
         """
         omega = self.lines(move)
-        seen = self._seen(len(omega)) * (-self._late(omega) / omega**2)[:, None, None] * gain
+        seen = self._seen(len(omega)) * (-self._late(omega, self.delay) / omega**2)[:, None, None] * gain
         if not inner:
             return seen
         position = self.axes.of(seen)
         for k, each in enumerate(self.loops):
-            position[:, k, k] += each.loop.plant_at(omega) - each.loop.plant_at(omega, held=False)
+            position[:, k, k] += _aliases(each, omega)
         return position
 
     def _controllers(self, move: float, slower: np.ndarray | None) -> np.ndarray:
@@ -161,6 +156,11 @@ class AxesLoops(NamedTuple):
             return "the lines are too far apart, or end too early, to count turns"
         sets = "; ".join(" and ".join(self.names[k] for k in each) for each in judged.unstable[:3])
         return f"unstable with {sets} closed"
+
+
+def _aliases(designed: DesignedLoop, omega: np.ndarray) -> np.ndarray:
+    """What sampling adds to the response of an axis's model."""
+    return designed.loop.plant_at(omega) - designed.loop.plant_at(omega, held=False)
 
 
 def _slower(pid: Pid, share: float) -> Pid:
@@ -207,7 +207,7 @@ def paint_axes(closed: AxesLoops):
     for name, response in closed.sensitivities().items():
         size = np.linalg.norm(response, 2, axis=(1, 2))
         left.semilogx(hertz, 20 * np.log10(size), linewidth=0.9, label=name)
-    together = np.abs(np.einsum("fii->fi", np.linalg.inv(whole)))
+    together = np.abs(own_sensitivities(whole))
     alone = np.abs(1 / np.einsum("fii->fi", whole))
     for k, name in enumerate(closed.names):
         (line,) = right.semilogx(

@@ -165,6 +165,12 @@ def interaction(response: Complex128[np.ndarray, "lines n n"]) -> Float64[np.nda
     return np.abs(np.linalg.eigvals(off)).max(axis=1)
 
 
+@checked
+def own_sensitivities(whole: Complex128[np.ndarray, "lines n n"]) -> Complex128[np.ndarray, "lines n"]:
+    """S_kk of I + L: the error of each axis over its own setpoint while all are controlled."""
+    return np.einsum("fii->fi", np.linalg.inv(whole))
+
+
 class Judged(NamedTuple):
     """The loops of all axes at once on the measured matrix; frequencies are lines."""
 
@@ -232,13 +238,14 @@ def judge(
             counted &= enough
             if count or not enough:
                 unstable.append(kept)
-        sizes = np.abs(np.einsum("fii->fi", np.linalg.inv(whole)))
+        sizes = np.abs(own_sensitivities(whole))
+        if not number:
+            measured = sizes.max(axis=0)
         own = np.abs(1 / np.einsum("fii->fi", whole))
         likely = sizes if alone is None else sizes / own / np.abs(alone[number])
         limit = np.maximum(allowed, (1 + 1e-9) * own) if not number else np.inf
         exceeded.append(np.maximum(sizes / limit, likely / allowed).max(axis=0))
         box = np.maximum(box, likely.max(axis=0))
-    whole = one + gain
     own = np.einsum("fii->fi", gain)
     bound = np.abs(gain) * (1 - one) / np.abs(1 + own)[:, None, :]  # |E| |T~|
     return Judged(
@@ -246,7 +253,7 @@ def judge(
         tuple(dict.fromkeys(unstable)),
         counted,
         np.max(exceeded, axis=0),
-        20 * np.log10(np.abs(np.einsum("fii->fi", np.linalg.inv(whole))).max(axis=0)),
+        20 * np.log10(measured),
         20 * np.log10(box),
         np.abs(np.linalg.eigvals(bound)).max(axis=1),
         float(np.abs(1 + np.linalg.eigvals(gain)).min()),

@@ -24,7 +24,7 @@ from stillwork.identification.matrix_files import load_matrix
 from stillwork.lti.modal import ModalModel
 from stillwork.machine import pictures
 from stillwork.machine.axes_loops import FORMAT, AxesLoops, paint_axes, paint_decoupling
-from stillwork.machine.decoupled import turns
+from stillwork.machine.decoupled import own_sensitivities, turns
 from stillwork.machine.designed_loop import DesignedLoop, load_design
 from stillwork.machine.hardware import ALLOWED_DB, own_functions
 from stillwork.machine.html_page import page, picture, require_new, table
@@ -123,7 +123,7 @@ def _retest_axes(controller: Path, about: Table, file: str, target: Path, loop_h
     (alone,), (gain,) = closed.alone(middle), closed.gains(middle)
     whole = np.eye(len(closed.loops)) + gain
     count, enough = turns(whole, alone)
-    own = np.einsum("fii->fi", np.linalg.inv(whole))
+    own = own_sensitivities(whole)
     peaks = {
         name: {"|S_kk|": _peak(omega, own[:, k], 1 / alone[:, k])} for k, name in enumerate(closed.names)
     }
