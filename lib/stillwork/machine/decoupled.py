@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Complex128, Float64
-from scipy import signal
+from scipy import linalg, signal
 
 from stillwork.base.checks import InputError
 from stillwork.base.validation import checked
@@ -131,10 +131,10 @@ def decouplings(
     if len(tops) > 1:
         shared["shared with the strongest resonances"] = sum(seen[k].imag / hertz[k] ** 2 for k in tops)
     for words, other in shared.items():
-        values, vectors = np.linalg.eig(inverse @ other)
-        order = np.argsort(-values)
-        if values.dtype.kind == "f" and np.linalg.cond(vectors) < WORST_CONDITION:
-            vectors = vectors[:, order]
+        # Of values that are alike rounding makes a complex pair: a real basis of it makes R diagonal as well.
+        values, vectors = linalg.cdf2rdf(*np.linalg.eig(inverse @ other))
+        if np.linalg.cond(vectors) < WORST_CONDITION:
+            vectors = vectors[:, np.argsort(-np.diag(values))]
             pairs[words] = np.linalg.inv(vectors) @ inverse, vectors
     above = hertz > low.end_hz if low.free else hertz > 0
     left = {}
