@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from html import escape
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +41,7 @@ HERE = ("inside", "better", "outside", "passes", "fails", "not judged", "not bui
 AGREEMENT = ("inside", "better", "passes")
 DISAGREEMENT = ("outside", "fails")
 BASES = ("predicted", "fitted", "calibrated")
+MOST = 10  # claims that a page's table shows
 
 
 @dataclass(frozen=True)
@@ -431,6 +433,7 @@ class ClaimsTable:
 
     claims: list[Claim] = field(default_factory=list)
     note: str = ""  # what a run with other settings says first
+    most: int = MOST  # rows that are shown
 
     def add(self, claim: Claim) -> None:
         """Add a claim; a second value for the same id replaces the first."""
@@ -448,17 +451,36 @@ class ClaimsTable:
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(claims_text(found), encoding="utf-8")
 
+    @property
+    def shown(self) -> list[Claim]:
+        """At most `most`: the ledger's headlines, then what was published, of each figure or table in turn."""
+        groups: dict[str, list[Claim]] = {}
+        for claim in self.claims:
+            groups.setdefault(claim.entry.id.split(".")[1], []).append(claim)
+        turns = [claim for turn in zip_longest(*groups.values()) for claim in turn if claim is not None]
+        turns.sort(key=lambda claim: (not claim.entry.headline, not claim.entry.is_replication))
+        chosen = {claim.entry.id for claim in turns[: self.most]}
+        return [claim for claim in self.claims if claim.entry.id in chosen]
+
+    @property
+    def rest(self) -> "ClaimsTable":
+        """Those that a page does not show; its appendix lists them."""
+        shown = {claim.entry.id for claim in self.shown}
+        rest = [claim for claim in self.claims if claim.entry.id not in shown]
+        return ClaimsTable(rest, most=len(rest))
+
     def _rows(self) -> list[tuple[str, ...]]:
         head = ("claim", "place", "published", "ours", "interval", "unit", "here")
-        return [head, *((*claim.row(3), claim.shown_here) for claim in self.claims)]
+        return [head, *((*claim.row(3), claim.shown_here) for claim in self.shown)]
 
-    def _reasons(self) -> list[str]:
-        """Each reason once, with those that share it."""
+    def _after(self) -> list[str]:
+        """Where the others stand; then each reason once, with those that share it."""
         shared: dict[str, list[str]] = {}
-        for claim in self.claims:
+        for claim in self.shown:
             if claim.entry.reason and claim.shown_here not in AGREEMENT:
                 shared.setdefault(claim.entry.reason, []).append(claim.entry.id)
-        return [
+        left = len(self.claims) - len(self.shown)
+        return [f"{left} more: in the appendix."] * bool(left) + [
             f"{', '.join(ids) if len(ids) < 4 else f'{ids[0]} and {len(ids) - 1} others'}: {why}"
             for why, ids in shared.items()
         ]
@@ -468,8 +490,8 @@ class ClaimsTable:
         widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
         lines = ["  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows]
         lines.insert(1, "-" * len(lines[0]))
-        reasons = self._reasons()
-        return "\n".join([*self.note.splitlines(), *lines, *(["", *reasons] if reasons else [])])
+        after = self._after()
+        return "\n".join([*self.note.splitlines(), *lines, *(["", *after] if after else [])])
 
     def _repr_html_(self) -> str | None:
         if paths.in_batch():  # a committed notebook holds text
@@ -479,7 +501,7 @@ class ClaimsTable:
         lines += ["".join(f"<td>{escape(word)}</td>" for word in row) for row in body]
         table = "".join(f"<tr>{line}</tr>" for line in lines)
         note = "".join(f"<p>{escape(line)}</p>" for line in self.note.splitlines())
-        return f"{note}<table>{table}</table>" + "".join(f"<p>{escape(why)}</p>" for why in self._reasons())
+        return f"{note}<table>{table}</table>" + "".join(f"<p>{escape(why)}</p>" for why in self._after())
 
 
 def claims_text(found: dict[str, dict]) -> str:

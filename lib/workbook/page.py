@@ -29,7 +29,7 @@ class Page:
     notebook : str
         Topic and name of the notebook, without suffix.
     claims : ClaimsTable
-        What the notebook has claimed so far; show it at the end.
+        What the notebook has claimed so far, ten of it as a table; show it at the end.
     conclusions : list of str
         The sentences of this run, see `conclude`.
     """
@@ -220,7 +220,11 @@ class Page:
         from workbook.appendix import Appendix, function_of
 
         made = Appendix(self)
+        rest = self.claims.rest
         function_of(self.notebook)(made, **settings)
+        if rest.claims:
+            made.text("## More numbers of this page")
+            made.show(rest)
         _display(made)
 
 

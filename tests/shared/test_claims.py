@@ -17,7 +17,7 @@ def entry(kind="value", published=2.0, **fields):
     fields = {"place": "Table 1", "quantity": "gain", "unit": "Hz", **fields}
     if kind in ("value", "exact", "slope"):
         fields.setdefault("tolerance", Tolerance("printed digits", relative=0.01))
-    return Entry(id="motion.gain", kind=kind, published=published, **fields)
+    return Entry(**{"id": "motion.gain"} | fields, kind=kind, published=published)
 
 
 @given(values, values, levels, st.sampled_from(["relative", "absolute"]))
@@ -297,3 +297,34 @@ def test_the_table_prints_verdicts_and_reasons_and_keeps_the_last_value(workbook
         "motion.table-1.pid": {"ours": 37.123457, "interval": [36.0, 38.0]},
         "motion.order": {"ours": 0.9},
     }
+
+
+@given(st.lists(st.tuples(st.sampled_from("abc"), st.booleans(), st.booleans()), min_size=1, max_size=40))
+def test_a_page_shows_ten_claims_headlines_first_then_of_each_table_in_turn(drawn):
+    table = ClaimsTable()
+    rule = Tolerance("printed digits", relative=0.01)
+    for number, (group, headline, published) in enumerate(drawn):
+        fields = {"id": f"motion.{group}.{number}", "headline": headline, "tolerance": rule}
+        table.add(Claim(entry("value" if published else "check", **fields), 2.0))
+    shown, rest = table.shown, table.rest.claims
+    assert len(shown) == min(10, len(drawn))
+    assert sorted(map(table.claims.index, [*shown, *rest])) == list(range(len(drawn)))
+    assert shown == sorted(shown, key=table.claims.index)
+    assert not any(claim.entry.headline for claim in rest) or all(claim.entry.headline for claim in shown)
+    if rest:
+        ranks = [(not each.entry.headline, each.entry.kind == "check") for each in (*shown, *rest)]
+        assert max(ranks[:10]) <= min(ranks[10:])
+        assert f"{len(rest)} more: in the appendix." in repr(table)
+    assert repr(table.rest).count("motion.") == len(rest)
+
+
+def test_a_page_shows_the_first_of_every_table():
+    table = ClaimsTable()
+    for group, count in {"table-1": 20, "fig-2": 3, "fig-3": 1}.items():
+        for number in range(count):
+            table.add(Claim(entry(id=f"motion.{group}.{number}"), 2.0))
+    assert [claim.entry.id.split(".", 1)[1] for claim in table.shown] == [
+        *(f"table-1.{number}" for number in range(6)),
+        *(f"fig-2.{number}" for number in range(3)),
+        "fig-3.0",
+    ]

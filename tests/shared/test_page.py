@@ -99,6 +99,20 @@ def test_an_appendix_belongs_to_the_build_and_is_shown_in_a_line(workbook, monke
     assert page.conclusions == ["It is not 2 but 3.0."]
 
 
+def test_an_appendix_lists_what_the_table_of_its_page_does_not_show(workbook, monkeypatch):
+    page, module, shown = Page("motion/01-its-page"), ModuleType("notebooks.motion.its_page"), []
+    module.appendix = lambda page: page.text("## More")
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    monkeypatch.setattr("workbook.page._display", shown.append)
+    page.claims.most = 1
+    for name in ("motion.order", "motion.gain"):
+        page.check(name, 1.0)
+    page.appendix()
+    assert "motion.order" in repr(page.claims) and "1 more: in the appendix." in repr(page.claims)
+    *_, title, table = shown[0]._repr_mimebundle_()[KIND].split("\n\n")
+    assert title == "## More numbers of this page" and "motion.gain" in table and "motion.order" not in table
+
+
 def test_a_study_of_a_notebook_runs_its_appendix_where_it_needs_it(workbook, monkeypatch):
     module = ModuleType("notebooks.motion.its_page")
     module.appendix = appendix
