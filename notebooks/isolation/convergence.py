@@ -542,8 +542,8 @@ def starting(*, memory: float, floor_upper_end: float, seed: int) -> dict:
     return {"isolation.convergence.start": fraction(np.isnan(stopped))}
 
 
-def far_starts(multiples: ArrayLike, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """From multiples of the steady P of 20 s: share of eight runs of `FAR_S` that go on, and settling time, s.
+def far_starts(multiples: ArrayLike, seed: int, runs: int = TOGETHER) -> tuple[np.ndarray, np.ndarray]:
+    """From multiples of the steady P of 20 s: share of runs of `FAR_S` that go on, and settling time, s.
 
     The time is the geometric mean over w4 to w9 and these runs; NaN where one does not go on.
     """
@@ -555,13 +555,15 @@ def far_starts(multiples: ArrayLike, seed: int) -> tuple[np.ndarray, np.ndarray]
         start = printed_algorithms(
             steady, **common, initial_covariance=multiple, sample_time=twin.sample_time
         )
-        runs = [
+        tried = [
             simulate(twin, floor, FAR_S, adaptation=start["FeRLS"], seed=seed + k, to_the_break=True)
-            for k in range(TOGETHER)
+            for k in range(runs)
         ]
-        goes_on.append(np.mean([run.broke_s is None for run in runs]))
-        times = [settling_times(run.time_s, run.weights[:, 0], steady.weights[0])[ROWS] for run in runs]
-        settled.append(np.exp(np.log(times).mean()) if goes_on[-1] == 1 else np.nan)
+        goes_on.append(np.mean([run.broke_s is None for run in tried]))
+        settled.append(np.nan)
+        if goes_on[-1] == 1:
+            times = [settling_times(run.time_s, run.weights[:, 0], steady.weights[0])[ROWS] for run in tried]
+            settled[-1] = np.exp(np.log(times).mean())
     return np.array(goes_on), np.array(settled)
 
 

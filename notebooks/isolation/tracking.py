@@ -127,6 +127,21 @@ def noise_over_shift(twin: Twin, switch: Switch, forgetting: float, seed: int) -
     return float(np.sqrt(np.mean((np.array(late) - 1) ** 2)))
 
 
+def averaged(
+    twin: Twin, switch: Switch, both: dict, duration_s: float, seed: int, group: str
+) -> tuple[float, float]:
+    """Settling time (s) of the FeRLS weights' average over eight runs, and how far a group strays from it at the end.
+
+    The latter is a standard deviation along the shift, over the shift.
+    """
+    seeds = range(seed, seed + TOGETHER)
+    runs = [each["FeRLS"] for each in respond(twin, switch, {"FeRLS": both["FeRLS"]}, duration_s, seeds)]
+    mean = Response(runs[0].time_s, np.mean([each.weights for each in runs], axis=0), switch)
+    late = mean.time_s > duration_s / 2
+    strays = np.array([each.left(group)[late] for each in runs]) - mean.left(group)[late]
+    return mean.settling_s(group), float(np.sqrt(np.sum(strays**2) / strays[0].size / (TOGETHER - 1)))
+
+
 def expected_response(twin: Twin, switch: Switch, name: str, step_size: float, memory_s: float) -> Response:
     """Mean course after a switch from the oracle, without noise and without simulation, for 20 minutes."""
     time = np.concatenate([np.arange(0.1, 60, 0.1), np.arange(60, 1200, 1.0)])
