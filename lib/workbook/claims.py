@@ -480,7 +480,7 @@ class ClaimsTable:
             if claim.entry.reason and claim.shown_here not in AGREEMENT:
                 shared.setdefault(claim.entry.reason, []).append(claim.entry.id)
         left = len(self.claims) - len(self.shown)
-        return [f"{left} more: in the appendix."] * bool(left) + [
+        return [f"{left} more: on the page of the site (`make site`)."] * bool(left) + [
             f"{', '.join(ids) if len(ids) < 4 else f'{ids[0]} and {len(ids) - 1} others'}: {why}"
             for why, ids in shared.items()
         ]

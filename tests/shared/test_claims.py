@@ -314,7 +314,7 @@ def test_a_page_shows_ten_claims_headlines_first_then_of_each_table_in_turn(draw
     if rest:
         ranks = [(not each.entry.headline, each.entry.kind == "check") for each in (*shown, *rest)]
         assert max(ranks[:10]) <= min(ranks[10:])
-        assert f"{len(rest)} more: in the appendix." in repr(table)
+        assert f"{len(rest)} more: on the page of the site (`make site`)." in repr(table)
     assert repr(table.rest).count("motion.") == len(rest)
 
 

@@ -108,7 +108,7 @@ def test_an_appendix_lists_what_the_table_of_its_page_does_not_show(workbook, mo
     for name in ("motion.order", "motion.gain"):
         page.check(name, 1.0)
     page.appendix()
-    assert "motion.order" in repr(page.claims) and "1 more: in the appendix." in repr(page.claims)
+    assert "motion.order" in repr(page.claims) and "1 more: on the page of the site" in repr(page.claims)
     *_, title, table = shown[0]._repr_mimebundle_()[KIND].split("\n\n")
     assert title == "## More numbers of this page" and "motion.gain" in table and "motion.order" not in table
 
