@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 from scipy import optimize
 
 from experiments.motion.designs import DAMPING
-from experiments.motion.ideal_feedforward import invert
 from experiments.motion.intervals import Values
 from experiments.motion.machines import published_noise, stage, stage_mass
 from experiments.motion.pictures import add_magnitude
@@ -91,7 +90,7 @@ class ObserverProblem:
         it is W_r(z). The smallest two-norm of a stable function with given values at given points follows from the
         kernel 1 / (s + z*) of that space: the root of :math:`w^HK^{-1}w` with :math:`K_{ij}=1/(z_i+z_j^*)`.
         """
-        zeros = invert(self.plant).zeros
+        zeros = self.plant.state_space().zeros
         zeros = zeros[zeros.real > 1e-9 * np.abs(zeros).max()]
         reference = 2 * np.pi * self.corners_hz[0]
         values = reference / (zeros + reference)

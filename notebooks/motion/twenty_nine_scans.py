@@ -3,23 +3,21 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
-from scipy import linalg
 
 from experiments.motion import perturbed_tracking
 from experiments.motion.designs import DESIGNS, Design, stage_bandwidth
-from experiments.motion.ideal_feedforward import FAINT, Inverse
 from experiments.motion.intervals import Values, key
 from experiments.motion.machines import published_deviations, published_setpoint, stage, stage_mass
 from experiments.motion.perturbed_tracking import APPLICATIONS, WARM_UP
 from experiments.motion.pictures import case_styles, paint_errors, plain_numbers
 from experiments.motion.position_dependence import at_place, compensator_at, stage_grid
 from stillwork.base.checks import InputError
-from stillwork.base.validation import checked
 from stillwork.control.applications import Application
 from stillwork.control.feedforward import BASIS, Feedforward, least_squares, noise_error, noise_errors
 from stillwork.control.loops import channel, closed_loop, require_stable
@@ -33,67 +31,17 @@ from stillwork.lti.state_space import StateModel
 from workbook import figures
 from workbook.studies import fraction
 
+FAINT = 1e-12  # what is left of a zero's motion where it is cut off
 
-@dataclass(frozen=True)
-class Force:
-    r"""A force :math:`f = hx` whose states follow :math:`\dot x = Gx` from sample to sample, so exactly known between.
 
-    It may begin before the move, whose start is time zero. Its last four states are the setpoint's velocity,
-    acceleration, jerk and snap, on which a feedforward acts: as they are, or held over each sample (G = 0).
-    """
+class Force(NamedTuple):
+    """A force held over each sample; it may begin before the move, whose start is time zero."""
 
     time: Float64[np.ndarray, " samples"]  # s
-    states: Float64[np.ndarray, "states samples"]  # x at the start of every sample
-    generator: Float64[np.ndarray, "states states"]  # G, 1/s
-    row: Float64[np.ndarray, " states"]  # h
-
-    @property
-    @checked
-    def values(self) -> Float64[np.ndarray, " samples"]:
-        """Force at the samples, N."""
-        return self.row @ self.states
-
-
-@checked
-def ideal_force(inverse: Inverse, setpoint: Setpoint) -> Force:
-    """The force under which the plant follows the setpoint exactly: stable inversion.
-
-    Zeros in the left half-plane are run forwards in time, those in the right half-plane backwards from rest at
-    the end. Between samples the snap is constant, so nothing is approximated.
-    """
-    sample_time = setpoint.sample_time
-    ahead = int(np.ceil(inverse.lead / sample_time))
-    moved = np.pad(setpoint.derivatives[1:], ((0, 0), (ahead, 0)))  # velocity to snap
-    one = inverse.zeros.imag >= 0
-    blocks, rows, drives, reads = [], [], [], []
-    for zero, residue in zip(inverse.zeros[one], inverse.residues[one], strict=True):
-        x = _filtered(zero, moved[1:], sample_time)
-        size = 2 if zero.imag else 1  # of a pair, or of a real zero alone
-        blocks.append(np.array([[zero.real, -zero.imag], [zero.imag, zero.real]])[:size, :size])
-        rows += [x.real, x.imag][:size]
-        drives += [1.0, 0.0][:size]
-        reads += [size * residue.real, -size * residue.imag][:size]
-    n = len(rows)
-    generator = linalg.block_diag(*blocks, np.eye(4, k=1))
-    generator[:n, n + 1] = drives  # every filter is driven by the acceleration
-    row = np.concatenate([reads, [0.0], inverse.polynomial])
-    time = (np.arange(moved.shape[1]) - ahead) * sample_time
-    return Force(time, np.vstack([*rows, moved]) if rows else moved, generator, row)
-
-
-def _filtered(zero: complex, rows: np.ndarray, sample_time: float) -> np.ndarray:
-    """Bounded solution of x' = zero x + acceleration, for acceleration, jerk and snap at the samples."""
-    from scipy.signal import lfilter
-
-    chain = np.diag([zero, 0, 0, 0]) + np.diag([1.0, 1.0, 1.0], k=1)
-    held = linalg.expm(chain * sample_time)[0]
-    driven = held[1:] @ rows[:, :-1]
-    x = np.zeros(rows.shape[1], dtype=complex)
-    if zero.real < 0:
-        x[1:] = lfilter([1.0], [1.0, -held[0]], driven)
-    else:
-        x[:-1] = lfilter([-1 / held[0]], [1.0, -1 / held[0]], driven[::-1])[::-1]
-    return x
+    values: Float64[np.ndarray, " samples"]  # N
+    derivatives: Float64[
+        np.ndarray, "4 samples"
+    ]  # of the setpoint, velocity to snap: what a feedforward acts on
 
 
 def sampled_ideal_force(plant: ModalModel, setpoint: Setpoint) -> Force:
@@ -120,28 +68,12 @@ def sampled_ideal_force(plant: ModalModel, setpoint: Setpoint) -> Force:
     flexible = zoh_modes(plant.modes(slice(1, None)), sample_time)
     gain = rigid * (z + 1) + (z - 1) ** 2 * flexible.frequency_response(angle / sample_time)[0, 0]
     values = np.fft.irfft(np.fft.rfft(np.diff(steps), whole) / gain, whole)
-    states = np.vstack([values[:size], moved])
-    return Force((np.arange(size) - ahead) * sample_time, states, np.zeros((5, 5)), np.eye(5)[0])
+    return Force((np.arange(size) - ahead) * sample_time, values[:size], moved)
 
 
-@checked
 def feedforward_error(ideal: Force, feedforward: Feedforward) -> Force:
     """Ideal force less the applied one: what the loop must reject (Fig. 4.9)."""
-    row = ideal.row.copy()
-    row[-4:] -= feedforward.gains
-    return replace(ideal, row=row)
-
-
-def respond(model: StateModel, force: Force) -> Float64[np.ndarray, "outputs samples"]:
-    """Outputs of a continuous model driven by the force alone, exact at the samples."""
-    n, size = len(model.a), len(force.generator)
-    chain = np.zeros((n + size, n + size))
-    chain[:n, :n], chain[:n, n:], chain[n:, n:] = model.a, model.b * force.row, force.generator
-    sample_time = float(force.time[1] - force.time[0])
-    none = np.zeros((n + size, 0))
-    held = zoh(StateModel(chain, none, none.T, np.zeros((0, 0))), sample_time).a
-    exact = StateModel(held[:n, :n], held[:n, n:], model.c, model.d * force.row, sample_time)
-    return simulate(exact, force.states)
+    return ideal._replace(values=ideal.values - feedforward.gains @ ideal.derivatives)
 
 
 # === Location study ===============================================================================================
@@ -171,6 +103,10 @@ class LocationStudy:
         window = self.errors[case][:, self.setpoint.scanning]
         return np.sqrt(np.mean(window**2, axis=1))
 
+    def every_fourth(self) -> "LocationStudy":
+        """Of the twenty-nine places those where masses lie, where they go along all eight."""
+        return replace(self, places=self.places[::4], errors={n: e[::4] for n, e in self.errors.items()})
+
     def settled(self, case: str, band: float) -> Float64[np.ndarray, " places"]:
         """Time (s) from the end of the acceleration until the error stays within +-`band` (m) to the scan's end."""
         time = self.setpoint.time
@@ -193,18 +129,20 @@ class LocationStudy:
 
 Loops = Mapping[float, Mapping[str, StateModel]]
 
+FIT_LOOPS = {"37 Hz": "PID", "83 Hz": "MC and AD"}  # in which the gains are fitted
+
 # Table 4.1
 CASES = {name.replace("none", "original"): case for name, case in perturbed_tracking.CASES.items()}
 
 
-def structure(masses: int = 8, spacing: float = 0.05) -> tuple[ModalModel, Float64[np.ndarray, " masses"]]:
+def structure(masses: int) -> tuple[ModalModel, Float64[np.ndarray, " masses"]]:
     """Stage with a sensor at every place (m) of seven masses, or of all `masses` = 8, the actuator's first."""
-    plant, grid = stage(), stage_grid(spacing)
+    plant, grid = stage(), stage_grid()
     if masses == len(grid):
         return plant, grid
     shapes = np.vstack([plant.input_shapes.T, plant.output_shapes])
     whole = replace(plant, output_shapes=shapes, feedthrough=np.zeros((masses, 1)))
-    return whole, spacing * np.arange(-1, len(grid))
+    return whole, np.append(grid[0] - grid[1], grid)
 
 
 @cache
@@ -221,44 +159,53 @@ def table_loops(masses: int) -> dict[float, dict[str, StateModel]]:
     return location_loops(plant, grid, np.linspace(grid[0], grid[-1], 29), table_cases())
 
 
-def read_table(
-    *, channel: str, noise: bool, masses: int, fit_noise: bool, fit_loop: str, sample_time: float, seed: int
-) -> LocationStudy:
-    """The study of Table 4.1 at one reading of all that the thesis leaves open.
-
-    The error acts through `channel`; the loops run with `noise` or without; the sensor moves along 7 or 8 `masses`;
-    the gains are fitted to a move with noise or without (`fit_noise`), in the loop with the controller of `fit_loop`.
-    """
-    study = _quiet_table(channel, masses, fit_noise, fit_loop, sample_time, seed)
-    return study.noisy(_table_noise(masses, sample_time, seed)) if noise else study
-
-
-# Readings that differ in one choice alone share the rest.
-
-
 @lru_cache(maxsize=2)
-def _table_noise(masses: int, sample_time: float, seed: int) -> ErrorsByCase:
+def table_noise(masses: int, sample_time: float, seed: int) -> ErrorsByCase:
+    """What one draw of the noise of section 3.1 adds to the errors."""
     setpoint = published_setpoint(sample_time)
     return location_noise(table_loops(masses), setpoint, published_deviations(), [seed])[0]
 
 
 @lru_cache(maxsize=2)
-def _quiet_table(
-    channel: str, masses: int, fit_noise: bool, fit_loop: str, sample_time: float, seed: int
+def quiet_table(
+    source: str, masses: int, gains_from: str, gains_in: str, sample_time: float, seed: int
 ) -> LocationStudy:
-    force = _table_force(fit_noise, fit_loop, sample_time, seed)
-    return study_locations(table_loops(masses), force, published_setpoint(sample_time), channel)
+    """The study of Table 4.1 without noise; the error acts through `source`, the sensor moves along 7 or 8 `masses`."""
+    force = table_force(gains_from, gains_in, sample_time, seed)
+    return study_locations(table_loops(masses), force, published_setpoint(sample_time), source)
 
 
 @lru_cache(maxsize=8)
-def _table_force(fit_noise: bool, fit_loop: str, sample_time: float, seed: int) -> Force:
+def table_force(gains_from: str, gains_in: str, sample_time: float, seed: int) -> Force:
+    """The feedforward error, with gains fitted to a "quiet move" or a "noisy move" with one of `FIT_LOOPS`."""
     setpoint, deviations = published_setpoint(sample_time), published_deviations()
-    controller, noise = stage_bandwidth(fit_loop).controller, None
-    if fit_noise:
+    controller, noise = stage_bandwidth(FIT_LOOPS[gains_in]).controller, None
+    if gains_from == "noisy move":
         loop = closed_loop(stage().at([0], [4]), None, controller.state_space())
         draws = np.random.default_rng((seed, 0))
         noise = noise_error(loop, sample_time, WARM_UP + len(setpoint.time), deviations, draws)[1, WARM_UP:]
     return stage_error(setpoint, controller, noise=noise)
+
+
+def table_values(study: LocationStudy) -> pd.DataFrame:
+    """Table 4.1 (nm): printed, over the whole structure, and least and largest over parts of at least half of it."""
+    rows = {}
+    for case, printed in PUBLISHED.items():
+        whole = 1e9 * study.over(case, study.places[0], study.places[-1])
+        parts = 1e9 * np.array([study.over(case, *ends) for ends in ranges(study.places, 0.5)])
+        for part, *row in zip(
+            ("min", "mean", "max"), printed, whole, parts.min(0), parts.max(0), strict=True
+        ):
+            rows[case, part] = row
+    return pd.DataFrame(rows, index=["published", "whole structure", "from", "to"]).T
+
+
+def judged(table: pd.DataFrame) -> Values:
+    """`table_values` as the ledger has them."""
+    return {
+        f"motion.table-4-1.{key(case)}.{part}": (row["whole structure"], (row["from"], row["to"]))
+        for (case, part), row in table.iterrows()
+    }
 
 
 def table_statements(study: LocationStudy) -> dict[str, bool]:
@@ -294,14 +241,16 @@ def energy_values(quiet: LocationStudy, noisy: LocationStudy) -> Values:
     return {"motion.conclusion-5-7.energy-outweighs-noise": float(outweighs.mean())}
 
 
-def reduced_everywhere(plant: ModalModel, grid: ArrayLike, places: ArrayLike) -> tuple[float, float]:
-    """Share of the places of the sensor and of the actuator where compliance lowers the model error at 10 Hz.
+@cache
+def reduced_everywhere(masses: int) -> tuple[float, float]:
+    """Share of the twenty-nine places of sensor and actuator where compliance lowers the model error at 10 Hz.
 
     Tenfold with that of all four discarded modes, and at all with that of the three of chapter 3.
     """
+    plant, grid = structure(masses)
     low, tenfold, lowered = 2 * np.pi * np.array([10.0]), [], []
     for moves in ("sensor", "actuator"):
-        for place in places:
+        for place in np.linspace(grid[0], grid[-1], 29):
             there = at_place(plant, grid, float(place), moves)
             exact = there.frequency_response(low)
             none, three, four = (
@@ -345,7 +294,14 @@ def study_locations(loops: Loops, force: Force, setpoint: Setpoint, source: str 
     """
     ahead = len(force.time) - len(setpoint.time)
     errors = {
-        name: -np.array([respond(channel(loop, source, "e_true"), force)[0, ahead:] for loop in each])
+        name: -np.array(
+            [
+                simulate(zoh(channel(loop, source, "e_true"), setpoint.sample_time), force.values[None])[
+                    0, ahead:
+                ]
+                for loop in each
+            ]
+        )
         for name, each in _by_case(loops).items()
     }
     return LocationStudy(np.array(list(loops)), setpoint, errors)
@@ -381,37 +337,23 @@ def ranges(places: ArrayLike, shortest: float, points: int = 11) -> Float64[np.n
     return np.stack([low[wide], high[wide]], axis=1)
 
 
-def bare_error(controller: Pid, measured: int = 5) -> StateModel:
-    """Of the stage without observer, the model from a force that is missing to the true error of one mass."""
-    loop = closed_loop(stage().at([0], [measured - 1]), None, controller.state_space())
-    return channel(loop, "w", "e_true")
-
-
 def stage_error(
     setpoint: Setpoint, controller: Pid, measured: int = 5, noise: ArrayLike | None = None
 ) -> Force:
-    """Feedforward error of the stage for one measured mass, in samples that are held.
+    """Feedforward error of the stage for one measured mass: ideal force less the gains fitted without observer.
 
-    Ideal force less the gains fitted to the loop without observer, see `fit_to_force`.
+    The gains leave the smallest sum of squared errors over the move; with `noise` of the measured error (m) they are
+    fitted to a noisy one.
     """
-    loop = bare_error(controller, measured)
-    ideal = sampled_ideal_force(stage().at([0], [measured - 1]), setpoint)
-    return feedforward_error(ideal, fit_to_force(loop, ideal, noise))
-
-
-def fit_to_force(loop: StateModel, ideal: Force, noise: ArrayLike | None = None) -> Feedforward:
-    """Gains that leave the smallest sum of squared errors over the move, of the ideal force less theirs.
-
-    `loop` leads from the force to the error; with `noise` of the measured error (m) the gains are fitted to a noisy
-    move.
-    """
-    move = ideal.time > -1e-6 * (ideal.time[1] - ideal.time[0])
-    unit = np.eye(len(ideal.states))[-4:]
-    columns = [respond(loop, replace(ideal, row=row))[0, move] for row in unit]
-    wanted = respond(loop, ideal)[0, move]
-    if noise is not None:
-        wanted = wanted + np.asarray(noise, float)
-    return Feedforward(**dict(zip(BASIS, least_squares(np.array(columns).T, wanted), strict=True)))
+    plant = stage().at([0], [measured - 1])
+    loop = channel(closed_loop(plant, None, controller.state_space()), "w", "e_true")
+    sampled, ideal = zoh(loop, setpoint.sample_time), sampled_ideal_force(plant, setpoint)
+    left = [
+        simulate(sampled, each[None])[0, -len(setpoint.time) :] for each in (ideal.values, *ideal.derivatives)
+    ]
+    wanted = left[0] if noise is None else left[0] + np.asarray(noise, float)
+    gains = least_squares(np.array(left[1:]).T, wanted)
+    return feedforward_error(ideal, Feedforward(**dict(zip(BASIS, gains, strict=True))))
 
 
 # === Location pictures ============================================================================================
@@ -463,25 +405,22 @@ def paint_rms_along(study: LocationStudy, cases: Sequence[str]):
     return figure
 
 
-def paint_table_of_ranges(
-    names: Sequence[str],
-    whole: Mapping[str, np.ndarray],
-    spread: Mapping[str, np.ndarray],
-    published: Mapping[str, ArrayLike],
-):
+def paint_table_of_ranges(table: pd.DataFrame):
     """Smallest, mean and largest rms error (nm) of every case, their spread over the ranges, and the published values."""
     figure, axis = figures.new(1, 1, height=3.4)
-    parts = (("smallest", -0.22, figures.GREEN), ("mean", 0.0, figures.BLUE), ("largest", 0.22, figures.RED))
-    for k, (part, offset, colour) in enumerate(parts):
-        place = np.arange(len(names)) + offset
-        low, high = (np.array([f(spread[n][:, k]) for n in names]) for f in (np.min, np.max))
-        middle = np.array([whole[n][k] for n in names])
-        axis.vlines(place, low, high, color=colour, linewidth=4, alpha=0.4, label=f"{part}, over the ranges")
-        axis.plot(place, middle, "_", color=colour, markersize=9, label=f"{part}, whole structure")
-        marks = [np.asarray(published[n])[k] for n in names]
-        figures.mark_published(axis, place, marks, label="published" if k == 0 else None)
+    parts = (("min", -0.22, figures.GREEN), ("mean", 0.0, figures.BLUE), ("max", 0.22, figures.RED))
+    for part, offset, colour in parts:
+        rows, name = table.xs(part, level=1), {"min": "smallest", "max": "largest"}.get(part, part)
+        place = np.arange(len(rows)) + offset
+        bars = {"color": colour, "linewidth": 4, "alpha": 0.4, "label": f"{name}, over the ranges"}
+        axis.vlines(place, rows["from"], rows["to"], **bars)
+        middle = {"color": colour, "markersize": 9, "label": f"{name}, whole structure"}
+        axis.plot(place, rows["whole structure"].to_numpy(), "_", **middle)
+        label = "published" if part == "min" else None
+        figures.mark_published(axis, place, rows["published"].to_numpy(), label=label)
     axis.set_yscale("log")
-    axis.set_xticks(np.arange(len(names)), [n.replace(", ", ",\n") for n in names], fontsize=7)
+    names = [name.replace(", ", ",\n") for name in CASES]
+    axis.set_xticks(np.arange(len(names)), names, fontsize=7)
     axis.set(ylabel="rms error in the scan (nm)", ylim=(0.3, None))
     axis.legend(ncols=3, fontsize=7, loc="lower left")
     return figure
@@ -517,10 +456,9 @@ PUBLISHED = {  # Table 4.1: smallest, mean and largest rms error, nm
 }
 
 
-def paint_force(force: Force, continuous: Force, setpoint: Setpoint):
-    """Fig. 4.9: the feedforward error, held and in continuous time, on the axis of the published figure."""
+def paint_force(force: Force, setpoint: Setpoint):
+    """Fig. 4.9: the feedforward error on the axis of the published figure."""
     figure, axis = figures.new(1, 1, height=2.6)
-    axis.plot(continuous.time, continuous.values, color=figures.GREY, linewidth=0.7, label="continuous time")
     held = f"held for {1e3 * setpoint.sample_time:g} ms"
     axis.plot(force.time, force.values, linewidth=0.9, label=held)
     for edge in (setpoint.acceleration_end, setpoint.scan[1]):
@@ -537,31 +475,24 @@ def paint_force(force: Force, continuous: Force, setpoint: Setpoint):
 
 
 def appendix(
-    page,
-    *,
-    plant: ModalModel,
-    grid: np.ndarray,
-    loops: Loops,
-    force: Force,
-    continuous: Force,
-    setpoint: Setpoint,
-    quiet: LocationStudy,
-    study: LocationStudy,
-    whole: Mapping,
-    spread: Mapping,
-    channel: str,
-    deviations: Mapping,
-    measured: int,
-    runs: int,
-    seed: int,
+    page, *, table: pd.DataFrame, quiet: LocationStudy, study: LocationStudy, force: Force, **settings
 ) -> None:
-    """What the page of motion/16 judges beside its answer."""
-    _of_the_force(page, force, continuous, measured)
+    """What the page of motion/16 judges beside its answer; `settings` are parameters of the notebook."""
+    masses, sample_time, seed = (settings[name] for name in ("masses", "sample_time", "seed"))
+    page.text("""## The feedforward error
+
+It is largest where the snap jumps (Fig. 4.9), because a snap term cannot replace the compliance of five springs. Largest (N), by
+sample rate:""")
+    peak = np.abs(force.values).max()
+    page.check("motion.fig-4-9.peak", peak)
+    page.check("motion.fig-4-9.axis", float(peak <= AXIS_N))
+    held = {f"{rate} kHz": table_force(*settings["fit"], 1e-3 / rate, seed) for rate in (5, 10, 20)}
+    page.show(pd.Series({name: np.abs(each.values).max() for name, each in held.items()}).round(1))
     page.text("""## Conclusion 2.2
 
 The reduction of chapter 2 remains valid where sensor or actuator moves. We count the places where the compliance of the discarded
 modes lowers the model's error at 10 Hz: tenfold with all four, at all with the three of chapter 3.""")
-    tenfold, lowered = reduced_everywhere(plant, grid, study.places)
+    tenfold, lowered = reduced_everywhere(masses)
     page.check("motion.conclusion-2-2.every-place", tenfold)
     page.check("motion.conclusion-2-2.three-modes", lowered)
     names = list(CASES)
@@ -571,38 +502,14 @@ modes lowers the model's error at 10 Hz: tenfold with all four, at all with the 
     page.text("""## Table 4.1 in numbers (nm)
 
 Of one run: over the whole structure, and from least to most over all parts of at least half of it.""")
-    rows = {}
-    for name in names:
-        low, high = spread[name].min(axis=0), spread[name].max(axis=0)
-        for k, part in enumerate(("smallest", "mean", "largest")):
-            rows[f"{name}: {part}"] = (PUBLISHED[name][k], whole[name][k], low[k], high[k])
-    page.show(pd.DataFrame(rows, index=["published", "whole structure", "from", "to"]).T.round(2))
+    page.show(table.round(2))
     page.text("""## What the text says
 
 The fraction of runs with other noise in which each statement holds at the masses (every fourth place).""")
-    fewer = every_fourth(loops)
-    draws = location_noise(fewer, setpoint, deviations, [(seed, k) for k in range(runs)])
-    said = statement_shares(study_locations(fewer, force, setpoint, channel), draws)
-    for claim, (ours, interval) in said.items():
+    draws = sentence_noise(masses, sample_time, seed, settings["noise"], settings["runs"])
+    for claim, (ours, interval) in statement_shares(quiet.every_fourth(), draws).items():
         page.check(claim, ours, interval)
     _of_the_energy(page, quiet, study)
-
-
-def _of_the_force(page, force: Force, continuous: Force, measured: int) -> None:
-    page.text("""## The feedforward error
-
-It is largest where the snap jumps (Fig. 4.9), because a snap term cannot replace the compliance of five springs. Largest (N), by
-sample rate:""")
-    peak = np.abs(force.values).max()
-    page.check("motion.fig-4-9.peak", peak)
-    page.check("motion.fig-4-9.axis", float(peak <= AXIS_N))
-    original = table_cases()["original"][1]
-    peaks = {
-        f"{rate} kHz": stage_error(published_setpoint(1e-3 / rate), original, measured)
-        for rate in (5, 10, 20)
-    }
-    largest = {name: np.abs(each.values).max() for name, each in (peaks | {"continuous": continuous}).items()}
-    page.show(pd.Series(largest).round(1))
 
 
 def _of_the_energy(page, quiet: LocationStudy, study: LocationStudy) -> None:
@@ -625,7 +532,6 @@ until the error stays within 20 nm, from the end of the acceleration (ms):""")
 
 
 CHANNELS = {"seen by the observer": "u_ff", "unseen": "w"}
-FIT_LOOPS = {"37 Hz": "PID", "83 Hz": "MC and AD"}
 
 
 def locations(
@@ -639,23 +545,11 @@ def locations(
     seed: int,
 ) -> Values:
     """Table 4.1 (nm), one draw of the noise and its spread over ranges of the places; it has no fast variant."""
-    study = read_table(
-        channel=CHANNELS[error_channel],
-        noise=location_noise,
-        masses=location_masses,
-        fit_noise=gains_from == "noisy move",
-        fit_loop=FIT_LOOPS[gains_in],
-        sample_time=location_sample_time,
-        seed=seed,
-    )
-    found: Values = {}
-    ends = study.places[0], study.places[-1]
-    for case in CASES:
-        over = 1e9 * np.array([study.over(case, *each) for each in ranges(study.places, 0.5)])
-        for part, value, each in zip(("min", "mean", "max"), study.over(case, *ends), over.T, strict=True):
-            over_places_nm = float(each.min()), float(each.max())
-            found[f"motion.table-4-1.{key(case)}.{part}"] = float(1e9 * value), over_places_nm
-    return found
+    case = gains_from, gains_in, location_sample_time, seed
+    study = quiet_table(CHANNELS[error_channel], location_masses, *case)
+    if location_noise:
+        study = study.noisy(table_noise(location_masses, location_sample_time, seed))
+    return judged(table_values(study))
 
 
 def location_sentences(
@@ -669,32 +563,23 @@ def location_sentences(
     seed: int,
 ) -> Values:
     """What the text says of Table 4.1 and Fig. 4.9, and Conclusion 2.2 at these places; it has no fast variant."""
-    force = _table_force(gains_from == "noisy move", FIT_LOOPS[gains_in], location_sample_time, seed)
-    setpoint, loops = published_setpoint(location_sample_time), every_fourth(table_loops(location_masses))
-    quiet = study_locations(loops, force, setpoint, CHANNELS[error_channel])
-    draws = _sentence_noise(location_masses, location_sample_time, seed, location_noise)
+    case = gains_from, gains_in, location_sample_time, seed
+    quiet = quiet_table(CHANNELS[error_channel], location_masses, *case).every_fourth()
+    draws = sentence_noise(location_masses, location_sample_time, seed, location_noise, RUNS)
     return statement_shares(quiet, draws) | {
-        "motion.fig-4-9.axis": float(np.abs(force.values).max() <= AXIS_N),
-        "motion.conclusion-2-2.every-place": _reduced(location_masses)[0],
+        "motion.fig-4-9.axis": float(np.abs(table_force(*case).values).max() <= AXIS_N),
+        "motion.conclusion-2-2.every-place": reduced_everywhere(location_masses)[0],
     }
 
 
-def every_fourth(loops: Loops) -> Loops:
-    """Every fourth of the twenty-nine places: where they lie along eight masses, the masses."""
-    return {place: loops[place] for place in list(loops)[::4]}
-
-
 @lru_cache(maxsize=4)
-def _sentence_noise(masses: int, sample_time: float, seed: int, noise: bool) -> list[ErrorsByCase]:
+def sentence_noise(masses: int, sample_time: float, seed: int, noise: bool, runs: int) -> list[ErrorsByCase]:
+    """What several draws of the noise add at every fourth place; without `noise` nothing."""
+    loops = table_loops(masses)
+    fewer = {place: loops[place] for place in list(loops)[::4]}
     sizes = {name: noise * size for name, size in published_deviations().items()}
-    seeds = [(seed, run) for run in range(RUNS)]
-    return location_noise(every_fourth(table_loops(masses)), published_setpoint(sample_time), sizes, seeds)
-
-
-@cache
-def _reduced(masses: int) -> tuple[float, float]:
-    plant, grid = structure(masses)
-    return reduced_everywhere(plant, grid, np.linspace(grid[0], grid[-1], 29))
+    seeds = [(seed, run) for run in range(runs)]
+    return location_noise(fewer, published_setpoint(sample_time), sizes, seeds)
 
 
 def bounded_energy(
@@ -707,6 +592,6 @@ def bounded_energy(
     seed: int,
 ) -> Values:
     """Conclusion 5.7 on the scans of Table 4.1; it has no fast variant."""
-    case = location_masses, gains_from == "noisy move", FIT_LOOPS[gains_in], location_sample_time, seed
-    quiet = _quiet_table(CHANNELS[error_channel], *case)
-    return energy_values(quiet, quiet.noisy(_table_noise(location_masses, location_sample_time, seed)))
+    case = location_masses, gains_from, gains_in, location_sample_time, seed
+    quiet = quiet_table(CHANNELS[error_channel], *case)
+    return energy_values(quiet, quiet.noisy(table_noise(location_masses, location_sample_time, seed)))
