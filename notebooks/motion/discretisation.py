@@ -3,11 +3,8 @@
 from collections.abc import Sequence
 
 import numpy as np
-import pandas as pd
 from jaxtyping import Float64
 
-from stillwork.lti.discretisation import zoh
-from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel
 from workbook import figures
 
@@ -37,32 +34,6 @@ def transition_error(omega: float, ratios, sample_time: float, variant: str, row
     return [float(np.abs(given / exact - 1)[row, 1]) for given, exact in pairs]
 
 
-def undamped_input(omega: float, shapes, sample_time: float) -> Float64[np.ndarray, "2 inputs"]:
-    """Input matrix of one flexible mode without its damping, (2.33)."""
-    shapes = np.asarray(shapes, float)
-    return undamped_disturbance(omega, np.zeros(len(shapes)), shapes, sample_time)
-
-
-def undamped_disturbance(
-    omega: float, on_position, on_velocity, sample_time: float
-) -> Float64[np.ndarray, "2 disturbances"]:
-    """Disturbance matrix of one flexible mode without its damping, (2.34), for G_i = (g_i1, g_i2)."""
-    g1 = np.asarray(on_position, float)
-    g2 = np.asarray(on_velocity, float)
-    sine, cosine = np.sin(omega * sample_time), np.cos(omega * sample_time)
-    return np.array([(1 - cosine) / omega**2 * g2 + sine / omega * g1, sine / omega * g2 + (cosine - 1) * g1])
-
-
-def disturbance_matrix(
-    model: ModalModel, disturbance, sample_time: float
-) -> Float64[np.ndarray, "states disturbances"]:
-    """Exact zero-order-hold disturbance matrix for any G (form 1), by the matrix exponential."""
-    states = model.state_space()
-    g = np.asarray(disturbance, float)
-    held = zoh(StateModel(states.a, g, states.c, np.zeros((len(states.c), g.shape[1]))), sample_time)
-    return held.b
-
-
 def discrete_compliance(model: StateModel) -> Float64[np.ndarray, "outputs inputs"]:
     """Static gain C (I - A)^-1 B + D of a discrete model without rigid-body modes, (2.22)."""
     return model.c @ np.linalg.solve(np.eye(len(model.a)) - model.a, model.b) + model.d
@@ -87,21 +58,6 @@ def type_2(states: StateModel) -> StateModel:
     """The same model with the positions of all modes first, (2.7)."""
     order = [*range(0, len(states.a), 2), *range(1, len(states.a), 2)]
     return StateModel(states.a[np.ix_(order, order)], states.b[order], states.c[:, order], states.d)
-
-
-def undamped_errors(model: ModalModel, whole: StateModel, sample_time: float) -> pd.DataFrame:
-    """Relative errors of (2.33) and (2.34) for the first three flexible modes, beside the exact ones of the `whole` model."""
-    on_both = np.column_stack([np.ones(2 * len(model.frequencies)), np.zeros(2 * len(model.frequencies))])
-    on_both[1::2, 1] = 1.0
-    exact, rows = disturbance_matrix(model, on_both, sample_time), {}
-    for k in (1, 2, 3):
-        states, w = slice(2 * k, 2 * k + 2), float(model.frequencies[k])
-        rough = undamped_input(w, model.input_shapes[k], sample_time)[:, 0]
-        rough_g = undamped_disturbance(w, on_both[2 * k], on_both[2 * k + 1], sample_time)
-        off_g = np.abs(rough_g - exact[states]).max(axis=1) / np.abs(exact[states]).max(axis=1)
-        off = np.abs(rough / whole.b[states, 0] - 1).max()
-        rows[f"mode {k}"] = {"input matrix": off, "disturbance matrix": off_g.max()}
-    return pd.DataFrame(rows).T
 
 
 def paint_transition_error(frequency_hz: float, damping: float):

@@ -7,8 +7,8 @@ import numpy as np
 import pandas as pd
 
 from experiments.motion.designs import DESIGNS, stage_loops, stage_observer
-from experiments.motion.loop_conditions import keeps_integral_action, required_integrators
-from experiments.motion.loop_pictures import line_slope, paint_controllers, paint_over_first
+from experiments.motion.loop_conditions import static_gain
+from experiments.motion.loop_pictures import line_slope, over_first, paint_controllers
 from experiments.motion.machines import published_noise, stage, stage_mass
 from experiments.motion.pictures import (
     add_magnitude,
@@ -24,7 +24,7 @@ from stillwork.control.applications import Application, compensator, soft_sensor
 from stillwork.control.bandwidth import Loop, PeakConstraint, make_loop, maximise_bandwidth
 from stillwork.control.loops import channel, closed_loop
 from stillwork.control.pid import Pid, PidFamily
-from stillwork.estimation.observer import NoiseIntensities, Observer, kalman_observer
+from stillwork.estimation.observer import Observer, kalman_observer
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.peaks import resonance_grid
 from stillwork.lti.reduction import truncate
@@ -55,29 +55,14 @@ def paint_integrators(loops: Sequence[Loop], controllers: Mapping[str, Pid], bar
         response = bare.at(controller).output_sensitivity
         add_magnitude(axis, bare.omega, response, color=figures.GREY, linestyle="--", label="no observer")
         axis.set_ylim(top=60)  # room for the limit's name
-    return figure
-
-
-def name_slopes(figure) -> None:
-    """The printed slope below 1 Hz in each panel of `paint_integrators`, and the legends."""
-    for axis in figure.axes:
         mark_slope(axis, 2.0, (1e-2, 1.0), -190.0, "printed: slope 2 below 1 Hz")
     left, right = figure.axes
     right.legend(right.lines[-1:], ["printed: slope 2 below 1 Hz"], loc="lower right", fontsize=7)
     left.legend(ncols=2, loc="lower right", fontsize=6)
+    return figure
 
 
 # === High-pass or noise model =====================================================================================
-
-
-def departures(
-    phases: Mapping[str, tuple], thresholds: Sequence[float] | np.ndarray
-) -> dict[str, dict[float, float]]:
-    """Frequency (Hz) at which a distance from -180 degrees first exceeds each threshold (degrees), by label."""
-    return {
-        name: {each: float(hertz[np.argmax(away > each)]) for each in thresholds}
-        for name, (hertz, away) in phases.items()
-    }
 
 
 def paint_departure(curves: Mapping[str, tuple[np.ndarray, np.ndarray]], phase_deg: float) -> tuple:
@@ -89,9 +74,10 @@ def paint_departure(curves: Mapping[str, tuple[np.ndarray, np.ndarray]], phase_d
         angle = np.unwrap(np.degrees(np.angle(response)), period=360)
         away = np.abs(angle - 360 * np.ceil(angle[0] / 360 - 1e-6) + 180)
         axes[1].loglog(omega / (2 * np.pi), away, label=label, **style)
-    leaves = departures(labelled_lines(axes[1]), [phase_deg])
-    leaves = {name: each[phase_deg] for name, each in leaves.items()}
-    for (_, hertz), style in zip(leaves.items(), styles, strict=True):
+    leaves = {
+        name: hertz[np.argmax(away > phase_deg)] for name, (hertz, away) in labelled_lines(axes[1]).items()
+    }
+    for hertz, style in zip(leaves.values(), styles, strict=True):
         axes[1].plot([hertz], [phase_deg], "o", color=style["color"])
     axes[1].axhline(phase_deg, color=figures.BLACK, linestyle=":", linewidth=1)
     axes[1].text(11, 1.15 * phase_deg, f"counts as leaving: {phase_deg:g}°", fontsize=7)
@@ -119,39 +105,6 @@ GAIN_SENTENCES = {
 }
 
 
-def gain_cases(
-    plant: ModalModel, position: int, controller: Pid, block: StateModel, noise_model: float, low_gain: float
-) -> dict[str, StateModel]:
-    """Closed loops without observer, with the high-gain observer of `block`, and with `low_gain` times its R."""
-    published = published_noise()
-    weak = NoiseIntensities(published.process, low_gain * published.sensor)
-    slow = compensator(stage_observer(position, weak, noise_model), PLAIN)
-    blocks = {"no observer": None, "high gain": block, "low gain": slow}
-    return {name: closed_loop(plant, each, controller.state_space()) for name, each in blocks.items()}
-
-
-def paint_high_and_low_gain(cases: Mapping[str, StateModel], resonances: np.ndarray):
-    """Fig. 3.16 as ratios around the first resonance: each transfer to the true error over that without observer."""
-    poles = np.concatenate([loop.poles for loop in cases.values()])
-    omega = resonance_grid(poles, 10.0, 2.5e3, 600, 60)
-    figure = paint_over_first(cases, omega[omega < 2 * np.pi * 2500], resonances[:1], (440, 500))
-    for axis in figure.axes:
-        axis.set_xscale("linear")
-    return figure
-
-
-def resonance_ratios(cases: Mapping[str, StateModel], name: str, at: np.ndarray) -> dict[str, np.ndarray]:
-    """Transfers of a loop to the true error over those of the first loop, by source, at some frequencies (rad/s)."""
-    first = next(iter(cases.values()))
-    found = {}
-    for source in ("u_ff", "w", "v", "d"):
-        mine, base = (
-            channel(each, source, "e_true").frequency_response(at)[0, 0] for each in (cases[name], first)
-        )
-        found[source] = np.abs(mine / base)
-    return found
-
-
 # === Soft sensing =================================================================================================
 
 
@@ -167,24 +120,21 @@ def soft_sensed_loop(sensor: int, performance: int) -> Loop:
     return make_loop(plant.at([0], [sensor - 1]), block)
 
 
-def limit_hz(loops: list[Loop]) -> float:
-    """Largest f_bw of (3.2), the constraint of the loop without observer: the sensitivity that the controller sees."""
-    return maximise_bandwidth(loops, PidFamily(stage_mass()), [PeakConstraint("input_sensitivity")]).design_hz
-
-
 def soft_sensed_limits(position: int) -> dict[str, float]:
-    """Largest design parameters (Hz) with the true sensor and with a soft one, over the places that move.
+    """Largest f_bw (Hz) under (3.2) with the true sensor and with a soft one, over the places that move.
 
     The performance output moves over the seven masses with the sensor at mass `position`; or the sensor moves and
     the performance output stays there (Remark 3.2.6).
     """
     masses, bare = range(1, 8), stage_loops(DESIGNS["PID"])
-    return {
-        "sensor moves, none": limit_hz(bare),
-        "performance moves": limit_hz([soft_sensed_loop(position, each) for each in masses]),
-        "fixed place, none": limit_hz([bare[position - 1]]),
-        "sensor moves, soft": limit_hz([soft_sensed_loop(each, position) for each in masses]),
+    loops = {
+        "sensor moves, none": bare,
+        "performance moves": [soft_sensed_loop(position, each) for each in masses],
+        "fixed place, none": [bare[position - 1]],
+        "sensor moves, soft": [soft_sensed_loop(each, position) for each in masses],
     }
+    family, limits = PidFamily(stage_mass()), [PeakConstraint("input_sensitivity")]
+    return {name: maximise_bandwidth(each, family, limits).design_hz for name, each in loops.items()}
 
 
 # === Appendix =====================================================================================================
@@ -215,7 +165,7 @@ def appendix(
     _of_controllers(page, plant, blocks, controllers, low, wide)
     _of_low_frequency(page, cases, plant)
     _of_velocity(page, plant, noise_model, low)
-    _of_soft_sensor(page, plant, observer, blocks["MC"], controllers["PID"], position, wide)
+    _of_soft_sensor(page, plant, blocks["MC"], controllers["PID"], position, wide)
 
 
 def _of_rigid_estimate(
@@ -238,8 +188,7 @@ An unknown constant force gives the estimate $\hat y_{rig} = C_r\hat x$ an error
             density[name] += np.abs(response) ** 2 * 2 * sample_time * size**2
     error_nm = {name: float(1e9 * np.sqrt(np.trapezoid(each, hertz))) for name, each in density.items()}
     still = {name: float(np.sqrt(each[hertz < 0.1].mean())) for name, each in density.items()}
-    page.show("rms of the true error (nm)", pd.Series(error_nm).round(2))
-    page.show(f"below 0.1 Hz, over that without observer: {still['rigid body'] / still['no observer']:.0f}")
+    page.show(pd.Series(error_nm, name="rms of the true error (nm)").round(2))
     page.check("motion.section-3-2-1.no-gain", float(error_nm["rigid body"] >= error_nm["no observer"]))
     page.check("motion.section-3-2-1.low-frequency", float(still["rigid body"] > still["no observer"]))
 
@@ -251,43 +200,27 @@ def _of_redesign(page, sensitivities: Sequence[Mapping[str, tuple]]) -> None:
         (hertz, old), (_, new) = (each[f"mass {mass}"] for each in sensitivities)
         better.append(np.all(new[hertz < 37] < old[hertz < 37]))
         worse.append(np.max((new - old)[hertz > 50]) > 1)  # dB
-    page.show(f"lower below 37 Hz at {sum(better)} masses, higher above 50 Hz at {sum(worse)}")
     page.check("motion.fig-3-6.redesign", np.mean(np.array(better) & np.array(worse)))
 
 
 def _of_integrators(page, blocks: Mapping[str, StateModel], original: Pid, low: np.ndarray) -> None:
-    page.text(r"""
-## Conditions and corner
-
-Static gain $O_{yu}(0)$, and where $|C_{fb}O_{yu}| = 1$ by measured mass.
-""")
-    page.show(f"integrators that C_y needs: {required_integrators()}")
-    for name in ("MC", "noise model"):
-        found = keeps_integral_action(blocks[name], "compensation")
-        gain = round(1e9 * found.input_gain, 3) + 0.0
-        page.show(f"{name}: O_yu(0) = {gain:.3f} nm/N, keeps integral action: {found.keeps}")
-    every = []
-    for k in range(1, 8):
-        static = keeps_integral_action(compensator(stage_observer(k), PLAIN), "compensation").input_gain
-        every.append(abs(static) * original.gain * original.integrator / (2 * np.pi))
-    page.show("crossing per mass (Hz)", pd.Series(every, index=range(1, 8)).round(4))
-    nearest = int(np.argmin(np.abs(np.array(every) - 0.003)))
+    page.text("## The corner by mass, and with the noise model")
+    static = [static_gain(compensator(stage_observer(k), PLAIN))[1, 0] for k in range(1, 8)]
+    every = np.abs(static) * original.gain * original.integrator / (2 * np.pi)
+    nearest = int(np.argmin(np.abs(every - 0.003)))
     page.conclude(
-        "The printed 0.003 Hz agrees with the crossing at mass {mass}.",
-        "The crossing nearest to the printed 0.003 Hz is that of mass {mass}.",
-        when=round(every[nearest], 3) == 0.003,
+        "$|C_{{fb}}O_{{yu}}| = 1$ at {low:.4f} to {high:.4f} Hz; nearest to the printed 0.003 Hz at mass {mass}, {hz:.4f} Hz.",
+        low=every.min(),
+        high=every.max(),
         mass=nearest + 1,
+        hz=every[nearest],
     )
     still = low < 2 * np.pi * 1e-2
     without, with_model = (blocks[name].frequency_response(low)[1, 0] for name in ("MC", "noise model"))
-    rising = np.abs(with_model[still]) / low[still]
-    page.check(
-        "motion.integral-action.noise-model", np.abs(without[still]).mean() / rising.mean() / (2 * np.pi)
-    )
-    static = abs(keeps_integral_action(blocks["noise model"], "compensation").input_gain)
-    page.check(
-        "motion.integral-action.theorem-3-2-4", round(float(static / np.abs(with_model).max()), 13)
-    )  # rounding is left
+    corner = np.abs(without[still]).mean() / (np.abs(with_model[still]) / low[still]).mean() / (2 * np.pi)
+    page.check("motion.integral-action.noise-model", corner)
+    left = abs(static_gain(blocks["noise model"])[1, 0]) / np.abs(with_model).max()
+    page.check("motion.integral-action.theorem-3-2-4", round(float(left), 13))  # rounding is left
 
 
 def _of_controllers(
@@ -326,7 +259,6 @@ MC resembles notches, but "there are no notches present in the path from referen
         )
         beside = np.all(np.abs(hertz[:, None] / resonances - 1) > 0.2, axis=1)
         apart.append(np.abs(second - first)[beside].max())
-    page.show("largest distance beside the notches (dB)", pd.Series(apart, ["from r", "from y"]).round(2))
     page.check("motion.fig-3-13.overlap", max(apart))
     notched = [depth(figure.axes[1], "with noise model", at) > 3 for at in resonances]
     page.check("motion.fig-3-13.notches", np.mean(notched))
@@ -345,10 +277,8 @@ MC resembles notches, but "there are no notches present in the path from referen
     page.save("fig-3-14", figure)
     notched = controllers["PID with notches"]
     figure = paint_controllers({"MC": (with_model, redesigned), "PID with notches": (bare, notched)}, wide)
-    names = ("MC", "PID with notches")
-    deep = {name: [depth(figure.axes[0], name, at) for at in resonances] for name in names}
-    page.show("notches from r at the three resonances (dB)", pd.DataFrame(deep).T.round(2))
-    page.check("motion.fig-3-15.no-notch-from-reference", np.mean(np.array(deep["MC"]).round(2) < 3))
+    deep = np.array([depth(figure.axes[0], "MC", at) for at in resonances])
+    page.check("motion.fig-3-15.no-notch-from-reference", np.mean(deep.round(2) < 3))
     mark_printed(figure.axes[0], 46.0, "printed: 46 Hz", at=0.6)
     mark_printed(figure.axes[1], 43.0, "printed: 43 Hz", at=0.6)
     page.save("fig-3-15", figure)
@@ -358,22 +288,17 @@ def _of_low_frequency(page, cases: Mapping[str, StateModel], plant: ModalModel) 
     page.text(r"""
 ## The changes are local
 
-Remark 3.2.5: largest change of each transfer below half of the first resonance (dB), and the ratios at the resonances.
+Remark 3.2.5: largest change of each transfer below half of the first resonance (dB).
 """)
-    ratios = {
-        name: resonance_ratios(cases, name, plant.frequencies[1:4]) for name in ("high gain", "low gain")
-    }
-    for name, each in ratios.items():
-        page.show(name, pd.DataFrame(each, index=["mode 1", "mode 2", "mode 3"]).T.round(4))
     half = plant.frequencies[1] / 2
     poles = np.concatenate([loop.poles for loop in cases.values()])
     omega = resonance_grid(poles, 10.0, 2.5e3, 600, 60)
     changes = {
         name: {
-            source: float(np.abs(decibel(ratio)).max())
-            for source, ratio in resonance_ratios(cases, name, omega[omega < half]).items()
+            source: np.abs(decibel(ratio)).max()
+            for source, ratio in over_first(cases, name, omega[omega < half]).items()
         }
-        for name in ratios
+        for name in ("high gain", "low gain")
     }
     page.show(pd.DataFrame(changes).round(2))
     page.check("motion.remark-3-2-5.local", max(changes["high gain"].values()))
@@ -398,18 +323,13 @@ feedthrough (Fig. 3.17). Here it is constant without feedthrough, too; the noise
     dashed = {"feedthrough": {"linestyle": "--"}}  # it coincides with the line without
     label = "$u$ to $\\dot y_{flex}$ (dB re 1 m/(s N))"
     page.save("fig-3-17", paint_bode(gains, label, styles=dashed, xlim=(1e-4, 1e4))[0])
-    static = {
-        name: keeps_integral_action(block, "compensation").input_gain for name, block in velocity.items()
-    }
-    largest = np.abs(gains["no feedthrough"][1]).max()
-    page.check("motion.integral-action.velocity", abs(static["no feedthrough"]) / largest)
-    page.show("static gain (µm/(s N))", (1e6 * pd.Series(static)).round(3) + 0.0)
+    static, gain = (each["no feedthrough"] for each in (velocity, gains))
+    page.check("motion.integral-action.velocity", abs(static_gain(static)[1, 0]) / np.abs(gain[1]).max())
 
 
 def _of_soft_sensor(
     page,
     plant: ModalModel,
-    observer: Observer,
     block: StateModel,
     original: Pid,
     position: int,
@@ -418,29 +338,17 @@ def _of_soft_sensor(
     page.text(r"""
 ## Soft sensing
 
-The estimate can also move the measurement, (3.21), here to mass 2, whose resonances then have "the same bandwidth limiting
-effect". (3.23) adds only the static compliance of the place, times the feedforward.
+The estimate can also move the measurement, (3.21), to a mass whose resonances then have "the same bandwidth limiting effect".
+(3.23) adds only the static compliance of the place, here of mass 2, times the feedforward.
 """)
     other = stage().at([0], [1])
-    sensor = soft_sensor(observer, other.output_shapes[:, : len(observer.model.frequencies)])
-    soft, measured = sensor.frequency_response(wide)[0], plant.frequency_response(wide)[0, 0]
-    truth, here = other.frequency_response(wide)[0, 0], f"mass {position}, measured"
-    said = {
-        "mass 2, true": (wide, truth),
-        "mass 2, soft sensor": (wide, soft[0] + soft[1] * measured),
-        here: (wide, measured),
-    }
-    styles = {"mass 2, soft sensor": {"linestyle": "--"}, here: {"color": figures.GREY, "linewidth": 0.8}}
-    quantity = "magnitude (dB re 1 m/N)"
-    page.save("soft-sensor", paint_bode(said, quantity, styles=styles, height=3.2, ylim=(-230, -80))[0])
+    truth = other.frequency_response(wide)[0, 0]
     static = float(other.modes(slice(1, None)).compliance()[0, 0])
     compensated = make_loop(plant, block).at(original, wide).equivalent_plant
     slow_part = wide < 2 * np.pi * 37
     with_static, without_static = (np.abs(compensated + each - truth)[slow_part] for each in (static, 0.0))
     page.check("motion.section-3-2-4.compliance", np.mean(with_static < without_static))
-    most = np.max(with_static / without_static)
-    page.show(f"error at mass 2 up to 37 Hz, (3.23) over the rigid part alone: {most:.3f} at most")
     limits = soft_sensed_limits(position)
-    page.show("largest f_bw (Hz)", pd.Series(limits).round(1))
+    page.show(pd.Series(limits, name="largest f_bw (Hz)").round(1))
     page.check("motion.section-3-2-4.same-limit", limits["performance moves"] / limits["sensor moves, none"])
     page.check("motion.remark-3-2-6.no-limit", limits["sensor moves, soft"] / limits["fixed place, none"])

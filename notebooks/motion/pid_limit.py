@@ -24,9 +24,6 @@ def beyond_the_bound(
 
 def appendix(page, *, plant: ModalModel, best: Bandwidth, limit: float, stage_damping: float) -> None:
     """What this notebook judges beside its answer: Remark 3.3.1."""
-    page.text("## By mass")
-    page.show("resonances (Hz)", np.round(plant.frequencies[1:] / (2 * np.pi), 1))
-    page.show("first 0 dB crossing per mass (Hz)", np.round(best.crossing_hz, 2))
     page.text("""
 ## Less stiffness, less damping
 

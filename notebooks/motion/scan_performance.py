@@ -5,13 +5,13 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
-from experiments.motion.machines import chain_matrix, parameters
+from experiments.motion.machines import chain_matrix
 from stillwork.control.bandwidth import Bandwidth, Loop, PeakConstraint, make_loop, maximise_bandwidth
 from stillwork.control.pid import Pid, PidFamily
 from stillwork.control.setpoint import Setpoint
 from stillwork.lti.modal import ModalModel, modal_model
 from stillwork.lti.peaks import resonance_grid
-from stillwork.signals.moving_average import Moving, average_filter, average_reduction
+from stillwork.signals.moving_average import Moving
 from workbook import figures
 
 
@@ -88,27 +88,6 @@ def _near_origin(response):
     return response / np.abs(response) * np.log10(1 + np.abs(response))
 
 
-def paint_phases(setpoint: Setpoint):
-    """The move with its phases, and the printed limits of Table 3.6 (Fig. 1.5)."""
-    limits = {2: parameters("setpoint")["acceleration"], 1: parameters("setpoint")["velocity"], 0: 0.17}
-    names = {2: "acceleration (m/s²)", 1: "velocity (m/s)", 0: "position (m)"}
-    settling = (setpoint.acceleration_end, setpoint.scan[0])
-    figure, axes = figures.new(3, 1, height=4.6, sharex=True)
-    for axis, (row, name) in zip(axes, names.items(), strict=True):
-        axis.plot(setpoint.time, setpoint.derivatives[row], label=name)
-        axis.axvspan(*settling, color=figures.YELLOW, alpha=0.25, linewidth=0)
-        axis.axvspan(*setpoint.scan, color=figures.GREY, alpha=0.12, linewidth=0)
-        highest = np.argmax(setpoint.derivatives[row] > 0.9999 * setpoint.derivatives[row].max())
-        figures.mark_published(axis, setpoint.time[highest], limits[row], "printed limit")
-        axis.set_ylabel(name)
-    axes[-1].set_xlabel("time (s)")
-    axes[1].legend(handles=axes[1].lines[1:], loc="lower right")
-    for phase, (begin, end) in {"settling": settling, "scanning": setpoint.scan}.items():
-        axes[0].text((begin + end) / 2, 70, phase, ha="center")
-    figure.align_ylabels()
-    return figure
-
-
 def paint_moving(
     setpoint: Setpoint, error: np.ndarray, values: Moving, centre: np.ndarray, inside: np.ndarray
 ):
@@ -133,33 +112,3 @@ def paint_three_masses(bandwidth_hz: float):
     controller = PidFamily(masses.sum())(bandwidth_hz)
     loops = {f"$x_{k + 1}$": make_loop(machine.at([0], [k])) for k in (0, 1)}
     return paint_nyquist(loops, controller, around=60)  # coarse enough to redraw quickly
-
-
-def appendix(
-    page,
-    *,
-    error: np.ndarray,
-    values: Moving,
-    inside: np.ndarray,
-    sample_time: float,
-    exposure: float,
-    bandwidth_hz: float,
-) -> None:
-    """What this notebook judges beside its answer: the identity (1.3), the filter of the moving average, the example's bandwidth."""
-    page.text("## (1.3), and the moving average as a filter")
-    windows = np.lib.stride_tricks.sliding_window_view(error, round(exposure / sample_time))
-    direct = (windows**2).mean(axis=1)
-    off = np.abs(values.average**2 + values.deviation**2 - direct)[inside] / direct[inside].max()
-    page.check("motion.scan.rms-identity", round(float(off.max()), 13))  # what is left is rounding
-    omega = 2 * np.pi * np.geomspace(5, 3000, 2000)
-    figure, axis = figures.new(1, 1, height=2.6)
-    gain = np.abs(average_filter(omega, exposure))
-    axis.semilogx(omega / (2 * np.pi), gain, label=f"T = {1e3 * exposure:g} ms")
-    axis.set_xlabel("frequency (Hz)")
-    axis.set_ylabel("gain of the moving average")
-    axis.legend()
-    page.save("average-filter", figure)
-    zero = np.abs(average_filter([2 * np.pi / exposure], exposure)[0])
-    page.check("motion.scan.average-zeros", round(float(zero), 13))  # what is left is rounding
-    page.check("motion.scan.average-reduction", 100 * average_reduction(1.1))
-    page.check("motion.example-1-5-1.bandwidth", bandwidth_hz)

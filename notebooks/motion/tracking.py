@@ -60,25 +60,6 @@ def noisy_scan_trial(
 # Figure and explorer of tracking (notebook 11).
 
 
-def paint_setpoint(setpoint: Setpoint):
-    """The move and its four derivatives, with the printed limits (Fig. 3.32)."""
-    limits = parameters("setpoint")
-    printed = (0.17, *(limits[name] for name in ("velocity", "acceleration", "jerk", "snap")))
-    names = ["position (m)", "velocity (m/s)", "acceleration (m/s²)", "jerk (m/s³)", "snap (m/s⁴)"]
-    figure, axes = figures.new(5, 1, height=6.4, sharex=True)
-    for axis, name, row, most in zip(axes, names, setpoint.derivatives, printed, strict=True):
-        axis.plot(setpoint.time, row, label=name)
-        axis.axvspan(*setpoint.scan, color=figures.GREY, alpha=0.12, linewidth=0, label="scan")
-        figures.mark_published(
-            axis, setpoint.time[np.argmax(row > 0.9999 * row.max())], most, "printed limit"
-        )
-        axis.set_ylabel(name.replace(" (", "\n("))
-    axes[-1].set_xlabel("time (s)")
-    axes[0].legend(handles=[*axes[0].patches, axes[0].lines[1]], loc="upper left")
-    figure.align_ylabels()
-    return figure
-
-
 def paint_table(found: Values, quiet: Mapping[str, float], printed: Mapping[str, float]):
     """Table 3.7: rms errors (nm) over noise realisations and without noise, beside the printed ones, by case."""
     figure, axis = figures.new(1, 1, height=3.0)

@@ -4,11 +4,7 @@ import numpy as np
 import pytest
 
 from experiments.motion.designs import DESIGNS, RETAINED, stage_compensator, stage_observer
-from experiments.motion.loop_conditions import (
-    keeps_integral_action,
-    small_gain,
-    without_compliance,
-)
+from experiments.motion.loop_conditions import small_gain, static_gain, without_compliance
 from experiments.motion.machines import stage, stage_mass
 from stillwork.control.applications import Application, compensator
 from stillwork.control.loops import channel, closed_loop
@@ -18,6 +14,12 @@ PLANT = stage().at([0], [4])
 CONTROLLER = PidFamily(stage_mass())(35.626)
 
 
+def vanish(block, row):
+    """Which static gains, from force and from output, are rounding beside the largest over frequency: (3.12), (3.13), (3.38), (3.39)."""
+    largest = np.abs(block.frequency_response(np.abs(block.poles))[row]).max(axis=1)
+    return np.abs(static_gain(block)[row]) <= 1e-9 * largest
+
+
 @pytest.mark.parametrize("position", [1, 3, 7])
 def test_noise_model_keeps_the_integral_action(position):
     """Theorems 3.2.3 and 3.2.4."""
@@ -25,15 +27,15 @@ def test_noise_model_keeps_the_integral_action(position):
         compensator(stage_observer(position, noise_model=q), Application(compensate=True))
         for q in (None, 0.03)
     )
-    assert not keeps_integral_action(plain, "compensation").keeps
-    assert keeps_integral_action(mended, "compensation").keeps
+    assert not vanish(plain, 1)[0]
+    assert vanish(mended, 1).all()
     high_pass = compensator(stage_observer(position), Application(compensate=True, high_pass_hz=1.0))
-    assert keeps_integral_action(high_pass, "compensation").keeps
+    assert vanish(high_pass, 1).all()
 
 
 def test_damping_keeps_the_integral_action():
     """Theorem 3.3.1."""
-    assert keeps_integral_action(stage_compensator(5, DESIGNS["AD"]), "damping").keeps
+    assert vanish(stage_compensator(5, DESIGNS["AD"]), 0)[1]
 
 
 def test_a_constant_force_leaves_an_error_only_where_the_integrator_is_lost():

@@ -1,18 +1,10 @@
 """Machines and their reduction, compared with the published parameters and direct solutions in nodal form."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from experiments.motion.machines import chain, chain_matrix, drive, parameters, stage, stage_mass
-from notebooks.motion.discretisation import (
-    discrete_compliance,
-    disturbance_matrix,
-    transition,
-    undamped_disturbance,
-    undamped_input,
-)
+from notebooks.motion.discretisation import discrete_compliance, transition
 from stillwork.lti.discretisation import zoh_modes
 from stillwork.lti.reduction import truncate
 
@@ -73,14 +65,3 @@ def test_printed_transition_lacks_a_factor():
     mode = stage().modes([3])
     z, w = mode.damping[0], mode.frequencies[0]
     np.testing.assert_allclose(zoh_modes(mode, sample_time).a, transition(w, z, sample_time), rtol=1e-12)
-
-
-def test_undamped_matrices_are_the_limit_of_small_damping():
-    mode = replace(stage().modes([2]), damping=np.zeros(1))
-    w = float(mode.frequencies[0])
-    np.testing.assert_allclose(
-        zoh_modes(mode, 1e-4).b, undamped_input(w, mode.input_shapes[0], 1e-4), rtol=1e-9
-    )
-    g = np.array([[0.3], [-0.7]])
-    expected = undamped_disturbance(w, g[0], g[1], 1e-4)
-    np.testing.assert_allclose(disturbance_matrix(mode, g, 1e-4), expected, rtol=1e-9)

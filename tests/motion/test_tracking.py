@@ -21,7 +21,7 @@ from stillwork.control.feedforward import (
 from stillwork.control.loops import channel, closed_loop
 from stillwork.control.pid import PidFamily
 from stillwork.lti import StateModel, interconnect, resonance_grid, truncate
-from stillwork.signals.moving_average import average_filter, average_reduction, moving, rms
+from stillwork.signals.moving_average import average_filter, moving, rms
 
 PLANT = stage().at([0], [4])
 CONTROLLER = PidFamily(stage_mass())(35.626).state_space()
@@ -61,7 +61,6 @@ def test_average_filter_has_its_zeros():
     exposure = 0.01
     response = average_filter(2 * np.pi * np.array([1e-9, 100.0, 200.0, 50.0]), exposure)
     assert np.allclose(response, [1, 0, 0, 2 / np.pi], atol=1e-12)
-    assert average_reduction(1.1) == pytest.approx(0.212, abs=5e-4)
 
 
 def test_ideal_feedforward_of_a_rigid_body_is_its_mass():

@@ -1,7 +1,6 @@
-"""Conditions of chapter 3 as checks: integral action (Theorems 3.2.1 to 3.3.1), and small gain of the unknown modes."""
+"""Conditions of chapter 3 as numbers: slopes and static gains, and the small gain of the unknown modes."""
 
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Complex128, Float64
@@ -23,35 +22,6 @@ def slope(omega: ArrayLike, response: ArrayLike) -> float:
 def static_gain(model: StateModel) -> Float64[np.ndarray, "outputs inputs"]:
     """Gain at zero frequency of a continuous model without poles at the origin."""
     return model.d - model.c @ np.linalg.solve(model.a, model.b)
-
-
-class ObserverConditions(NamedTuple):
-    """Static gains of the observer block and whether they keep the integral action."""
-
-    input_gain: float  # O_yu(0) for MC, O_uu(0) for AD
-    output_gain: float  # O_yy(0) for MC, O_uy(0) for AD
-    keeps: bool
-
-
-def required_integrators(disturbance: int = 1, reference: int = 1, sensor: int = 1, plant: int = 2) -> int:
-    """Smallest number of integrators in C_y that brings the error to zero, (3.8), by the powers of 1/s in w, r, v, P."""
-    return max(disturbance - 1, sensor - plant - 1, reference - plant - 1, -1) + 1
-
-
-def keeps_integral_action(compensator: StateModel, application: str) -> ObserverConditions:
-    """Conditions (3.12)-(3.13) for measurement compensation or (3.38)-(3.39) for active damping.
-
-    A static gain below 1e-9 of the largest over frequency counts as zero: it is a difference of large
-    numbers, exact only to rounding.
-    """
-    compensates = application == "compensation"
-    gains = static_gain(compensator)[int(compensates)]
-    poles = compensator.poles
-    peak = np.abs(compensator.frequency_response(np.abs(poles[poles.imag >= 0]))[int(compensates)]).max(
-        axis=1
-    )
-    from_force, from_output = np.abs(gains) <= 1e-9 * peak
-    return ObserverConditions(*gains.tolist(), bool(from_output and (from_force or not compensates)))
 
 
 def without_compliance(observer: Observer) -> Observer:

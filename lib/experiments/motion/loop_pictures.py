@@ -1,13 +1,17 @@
 """Closed loops with different uses of the observer: what they reject, and their equivalent controllers."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from experiments.motion.designs import stage_observer
 from experiments.motion.loop_conditions import slope
+from experiments.motion.machines import published_noise, stage
 from experiments.motion.pictures import add_magnitude, case_styles, labelled_lines
+from stillwork.control.applications import Application, compensator
 from stillwork.control.bandwidth import Loop
-from stillwork.control.loops import channel
+from stillwork.control.loops import channel, closed_loop
 from stillwork.control.pid import Pid
 from stillwork.lti.state_space import StateModel
 from workbook import figures
@@ -44,6 +48,35 @@ def paint_rejections(
     else:
         figures.legend_below(axes[0, 0], len(cases))
     return figure
+
+
+def gain_cases(
+    position: int,
+    controller: Pid,
+    application: Application,
+    low_gain: float,
+    noise_model: float | None = None,
+) -> dict[str, StateModel]:
+    """Closed loops without observer, with the published (high-gain) observer, and with one of `low_gain` times its R."""
+    published = published_noise()
+    noise = {"high gain": published, "low gain": replace(published, sensor=low_gain * published.sensor)}
+    blocks = {
+        name: compensator(stage_observer(position, each, noise_model), application)
+        for name, each in noise.items()
+    }
+    plant = stage().at([0], [position - 1])
+    cases = {"no observer": None} | blocks
+    return {name: closed_loop(plant, each, controller.state_space()) for name, each in cases.items()}
+
+
+def over_first(cases: Mapping[str, StateModel], name: str, at: np.ndarray) -> dict[str, np.ndarray]:
+    """Transfers of a loop to the true error over those of the first, by source, at some frequencies (rad/s)."""
+    loops = cases[name], next(iter(cases.values()))
+    found = {}
+    for source in ("u_ff", "w", "v", "d"):
+        mine, base = (channel(each, source, "e_true").frequency_response(at)[0, 0] for each in loops)
+        found[source] = np.abs(mine / base)
+    return found
 
 
 def paint_over_first(

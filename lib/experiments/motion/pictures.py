@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
+from experiments.motion.machines import parameters
 from stillwork.control.bandwidth import SIX_DB, Loop
 from stillwork.control.pid import Pid
 from stillwork.control.setpoint import Setpoint
@@ -213,6 +214,27 @@ def plain(panels: int = 1, height: float = 2.8, **margins: float):
     figure.set_layout_engine(None)
     figure.subplots_adjust(**{"left": 0.1, "bottom": 0.18, "right": 0.98, "top": 0.9} | margins)
     return figure, axes
+
+
+def paint_setpoint(setpoint: Setpoint, rows: Sequence[int] = range(5), height: float = 6.4):
+    """The move and its derivatives, by their order, a panel each, with settling, the scan and the printed limits of Table 3.6."""
+    printed = parameters("setpoint")
+    limits = (0.17, *(printed[name] for name in ("velocity", "acceleration", "jerk", "snap")))
+    names = ("position (m)", "velocity (m/s)", "acceleration (m/s²)", "jerk (m/s³)", "snap (m/s⁴)")
+    settling = (setpoint.acceleration_end, setpoint.scan[0])
+    figure, axes = figures.new(len(rows), 1, height=height, sharex=True)
+    for axis, row in zip(axes, rows, strict=True):
+        line = setpoint.derivatives[row]
+        axis.plot(setpoint.time, line, label=names[row])
+        axis.axvspan(*settling, color=figures.YELLOW, alpha=0.25, linewidth=0, label="settling")
+        axis.axvspan(*setpoint.scan, color=figures.GREY, alpha=0.12, linewidth=0, label="scan")
+        highest = setpoint.time[np.argmax(line > 0.9999 * line.max())]
+        figures.mark_published(axis, highest, limits[row], "printed limit")
+        axis.set_ylabel(names[row].replace(" (", "\n("))
+    axes[-1].set_xlabel("time (s)")
+    axes[1].legend(handles=[*axes[1].patches, axes[1].lines[1]], loc="lower center")
+    figure.align_ylabels()
+    return figure
 
 
 def paint_errors(setpoint: Setpoint, errors: Mapping[str, np.ndarray], title: str = ""):

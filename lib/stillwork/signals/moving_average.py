@@ -75,9 +75,3 @@ def rms(error: Vector) -> float:
 def average_filter(omega: Vector, exposure: Positive) -> Float64[np.ndarray, " frequencies"]:
     """Response of the moving average, a sinc with zeros at multiples of 1/T (section 1.5.3)."""
     return np.sinc(omega * exposure / (2 * np.pi))
-
-
-@checked
-def average_reduction(bandwidth_ratio: Positive) -> float:
-    """Relative reduction of MA when the bandwidth grows by this ratio, by the rule MA ~ f_bw^-2.5."""
-    return 1 - bandwidth_ratio**-2.5
