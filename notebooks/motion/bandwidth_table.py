@@ -13,6 +13,7 @@ from experiments.motion.designs import (
     DAMPING,
     DESIGNS,
     NOISE_MODEL,
+    SIX,
     Design,
     as_read,
     controllers,
@@ -111,29 +112,17 @@ def sensor_noise_alone() -> NoiseIntensities:
 
 
 COARSE = {"points": 2000, "around": 0, "low_hz": 1.0, "high_hz": 1e4}  # frequencies of a loop
-CHOICES = {
-    "as published": {},
-    "6 dB taken as 2": {"limit": 2.0},
-    "R = sensor noise alone": {"noise": sensor_noise_alone},
-    "grid of 2000 points": {**COARSE, "refine": False},
-    "grid of 10000 points": {**COARSE, "points": 10000, "refine": False},
-    "damping 0.1 %": {"damping_ratio": 0.001},
-}
-
-# What the text leaves open. R is printed, so another R is a sensitivity and no open choice; the coarse grids
-# are errors, and Table 3.4 refutes the damping of 0.1 %.
-LEGITIMATE = ("as published", "6 dB taken as 2")
 
 
 @dataclass(frozen=True)
 class OpenChoices:
-    """One design under every choice."""
+    """One design under both meanings of 6 dB, 10^(6/20) and a factor of 2."""
 
     found: dict[str, Bandwidth]
 
     @property
     def published(self) -> Bandwidth:
-        return self.found["as published"]
+        return self.found["6 dB"]
 
     def crossing(self, position: int) -> float:
         """First 0 dB crossing for one measured mass, 1 to 7 (Hz)."""
@@ -142,24 +131,13 @@ class OpenChoices:
     @property
     def interval(self) -> tuple[float, float]:
         """Crossings over the seven masses and both meanings of 6 dB, widened by half a printed hertz."""
-        crossings = np.concatenate([self.found[name].crossing_hz for name in LEGITIMATE])
+        crossings = np.concatenate([each.crossing_hz for each in self.found.values()])
         return float(crossings.min() - 0.5), float(crossings.max() + 0.5)
 
 
 def open_choices(name: str) -> OpenChoices:
-    """Bandwidth of a published design under each of `CHOICES`; without an observer R has no effect."""
-    found = {}
-    for choice, given in CHOICES.items():
-        settings = dict(given)
-        if "noise" in settings:
-            settings["noise"] = settings["noise"]()
-            if DESIGNS[name].application is None:  # no observer: R has no effect
-                found[choice] = found["as published"]
-                continue
-        if "damping_ratio" in settings and DESIGNS[name].application is not None:
-            continue  # the observer's damping target would change with it: shown for the PID designs only
-        found[choice] = stage_bandwidth(name, **settings)
-    return OpenChoices(found)
+    """Bandwidth of a published design under both meanings of 6 dB."""
+    return OpenChoices({meaning: stage_bandwidth(name, limit=limit) for meaning, limit in SIX.items()})
 
 
 def bandwidth_map(
@@ -460,8 +438,7 @@ def appendix(
     row: pd.Series,
     third: pd.DataFrame,
 ) -> None:
-    """What the notebook judges beside its answer: what the table depends on, the third constraint."""
-    _of_the_choices(page, studies, position)
+    """What the notebook judges beside its answer: the third constraint."""
     again = studies["MC, two constraints"]
     page.check("motion.bandwidth.mc-two-constraints-again", again.crossing(position), again.interval)
     page.show("AD over PID, all choices and masses:", f"{gains['AD'].min():.2f} to {gains['AD'].max():.2f}")
@@ -489,27 +466,6 @@ def distances(published: Mapping[str, float]) -> np.ndarray:
             ]
             for loop in OPEN_LOOPS
         ]
-    )
-
-
-def _of_the_choices(page, studies: Mapping[str, OpenChoices], position: int) -> None:
-    page.text(f"""## What the table depends on
-
-First crossing (Hz, mass {position}) with one choice changed:""")
-    crossings = {
-        choice: {
-            name: study.found[choice].crossing_hz[position - 1] if choice in study.found else np.nan
-            for name, study in studies.items()
-        }
-        for choice in CHOICES
-    }
-    page.show(pd.DataFrame(crossings).round(1), na_rep="-")
-    page.conclude(
-        "With the damping of Table 3.2 PID crosses at {light:.1f} Hz, with that of Table 3.4 at {fine:.1f} Hz; on 2000 logarithmic points, "
-        "which may miss a resonance, at {coarse:.1f} Hz.",
-        light=crossings["damping 0.1 %"]["PID"],
-        fine=crossings["as published"]["PID"],
-        coarse=crossings["grid of 2000 points"]["PID"],
     )
 
 

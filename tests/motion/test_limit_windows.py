@@ -6,7 +6,7 @@ import pytest
 from experiments.motion.designs import PRINTED_HZ, stage_bandwidth
 from notebooks.motion.bandwidth_table import (
     AS_PRINTED,
-    CHOICES,
+    COARSE as COARSE_GRID,
     MEANT,
     SEARCHES,
     best_as,
@@ -18,7 +18,7 @@ from notebooks.motion.bandwidth_table import (
     names_of,
 )
 
-COARSE = CHOICES["grid of 2000 points"]
+COARSE = {**COARSE_GRID, "refine": False}
 WRITE = {"rounded": np.rint, "cut off": np.floor}
 
 
