@@ -1,6 +1,6 @@
 """The two-inertia drive: what a model error leaves: what this notebook alone needs."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +9,14 @@ from jaxtyping import Float64
 from scipy.signal import csd, welch
 
 from experiments.motion.machines import Drive, drive
-from experiments.motion.pictures import CASES, add_magnitude, paint_bode, plain_numbers
+from experiments.motion.pictures import (
+    CASES,
+    add_magnitude,
+    decibel,
+    labelled_lines,
+    paint_bode,
+    plain_numbers,
+)
 from stillwork.control.applications import Application, compensator
 from stillwork.control.loops import channel, closed_loop
 from stillwork.control.pid import PidFamily
@@ -117,6 +124,16 @@ def closed_loop_response(
 def rigid_response(plant: Drive, omega: Float64[np.ndarray, " frequencies"]) -> np.ndarray:
     """Response of the drive if its rod were stiff."""
     return plant.motor_constant / (1j * omega * (2j * omega * plant.inertia + 2 * plant.friction))
+
+
+def levels_over_rigid(figure, plant: Drive, names: Iterable[str], turns_hz: float) -> dict[str, np.ndarray]:
+    """The identified lines of `paint_identified` over the rigid body (dB), from 5 to 30 Hz and away from the imbalance."""
+    levels = {}
+    for name in names:
+        hertz, level = labelled_lines(figure.axes[0])[f"{name}, identified"]
+        part = (hertz > 5) & (hertz < 30) & (np.abs(hertz - turns_hz) > 1)
+        levels[name] = level[part] - decibel(rigid_response(plant, 2 * np.pi * hertz[part]))
+    return levels
 
 
 def statements(levels: Mapping[str, np.ndarray]) -> dict[str, bool]:
@@ -269,75 +286,3 @@ def drive_figure(
         levels[name] = 20 * np.log10(np.abs(seen_by_controller(loop, omega) / rigid_response(plant, omega)))
     found = {f"motion.fig-3-36.{name}": float(holds) for name, holds in statements(levels).items()}
     return found | {"motion.fig-3-36.rigid": float(np.abs(levels["MC and AD"]).max())}
-
-
-# === Appendix =====================================================================================================
-
-
-def appendix(
-    page,
-    *,
-    plant: Drive,
-    loops: Mapping[str, StateModel],
-    found: Mapping[str, Identified],
-    experiment: Mapping[str, float],
-    speeds: Sequence[float] | np.ndarray,
-    table: pd.DataFrame,
-    seed: int,
-    settings: Mapping,
-    bandwidth_hz: float,
-) -> None:
-    """What this notebook judges beside its answer.
-
-    `experiment` are the settings of `identify`, `settings` those of `drive_figure`, `table` the study over model errors.
-    """
-    turns_hz = experiment["turns_hz"]
-    page.text("## The observer's poles (1/s), and what is identified beside the exact response")
-    observer = drive_observer(plant, settings["drive_weights"])
-    poles = np.linalg.eigvals(observer.a - observer.gain @ observer.c)
-    page.show(np.round(np.sort_complex(poles), 1))
-    rows = {}
-    for name, each in found.items():
-        hertz = each.omega / (2 * np.pi)
-        away = (hertz > 5) & (hertz < 30) & (np.abs(hertz - turns_hz) > 1)
-        off = np.abs(each.response[away] / seen_by_controller(loops[name], each.omega[away]) - 1)
-        rows[name] = {
-            "off (rms, %)": 100 * np.sqrt(np.mean(off**2)),
-            "coherence": each.coherence[away].mean(),
-        }
-    page.show(pd.DataFrame(rows).T.round({"off (rms, %)": 1, "coherence": 2}))
-    exact = drive_figure(**settings, seed=seed)
-    judged = [value for name, value in exact.items() if not name.endswith(".rigid")]
-    page.conclude(
-        "From exact responses {held:.0f} of the {count} statements hold, and both together stay within {level:.1f} dB of the rigid body.",
-        held=sum(judged),
-        count=len(judged),
-        level=exact["motion.fig-3-36.rigid"],
-    )
-    page.text("""
-## The artefact follows the speed
-
-"Modifying the reference velocity" moves the spike; without observer, at other speeds:
-""")
-    moved, loop = [], loops["no observer"]
-    for speed in speeds:
-        each = identify(loop, np.random.default_rng(seed), **{**experiment, "turns_hz": speed})
-        hertz = each.omega / (2 * np.pi)
-        part = (hertz > 5) & (hertz < 17)
-        off = np.abs(each.response / seen_by_controller(loop, each.omega) - 1)
-        at = hertz[part][off[part].argmax()]
-        moved.append(abs(at - speed) <= 0.25)  # a line of the spectrum
-        page.show(f"{speed:g} revolutions a second: artefact at {at:.2f} Hz")
-    page.check("motion.drive.artefact-follows-speed", np.mean(moved))
-    page.text("## An exact model leaves the rigid body")
-    omega = plant.resonance * np.linspace(0.3, 2.0, 400)
-    perfect = seen_by_controller(drive_loop(plant, plant, Application(compensate=True), bandwidth_hz), omega)
-    left = np.abs(perfect / rigid_response(plant, omega) - 1).max()
-    page.check("motion.drive.rigid", round(float(left), 13))  # what is left is rounding
-    page.text("""
-## The study over model errors
-
-Mean largest response over the rigid body's, then fractions of runs: AD leaves more than MC; both together leave the smallest peak;
-both are closest to the rigid body, notches included.
-""")
-    page.show(table, index=False)

@@ -125,7 +125,9 @@ def paint_published(design: str, part: float):
 def _panels(names: tuple[str, ...]):
     """A figure of these loop functions, kept from one move to the next: its lines and titles are set anew."""
     plain = _loops(DESIGNS["PID"]), PidFamily(stage_mass())(10.0)
-    return paint_over_masses({LABELS[name]: (*plain, name) for name in names})
+    figure = paint_over_masses({LABELS[name]: (*plain, name) for name in names})
+    figure.axes[0].get_legend().remove()  # a seventh of a move's time
+    return figure
 
 
 def _paint(design: Design, controller: Pid, names: tuple[str, ...]):
@@ -140,6 +142,4 @@ def _paint(design: Design, controller: Pid, names: tuple[str, ...]):
             f"peak {20 * np.log10(peak.magnitude):.1f} dB" if np.isfinite(peak.magnitude) else "unstable"
         )
         axis.set_title(f"{LABELS[name]}: {verdict}")
-        axis.relim()
-        axis.autoscale_view(scaley=False)
     return figure

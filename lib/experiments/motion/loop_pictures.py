@@ -17,39 +17,6 @@ from stillwork.lti.state_space import StateModel
 from workbook import figures
 
 
-def paint_rejections(
-    cases: Mapping[str, StateModel], omega: np.ndarray, sources: Sequence[str] = ("u_ff", "w", "v", "d")
-):
-    """Transfers from each disturbance to the true error for several closed loops, one panel a disturbance."""
-    from matplotlib.ticker import NullFormatter
-
-    rows = (len(sources) + 1) // 2
-    figure, axes = figures.new(rows, 2, sharex=True, squeeze=False)
-    colours = case_styles(cases)
-    names = {"u_ff": "$u_{ff}$", "w": "$w$", "v": "$v$", "d": "$d$", "r": "$r$"}
-    for axis, source in zip(axes.ravel(), sources, strict=False):
-        for number, (label, loop) in enumerate(cases.items()):
-            response = channel(loop, source, "e_true").frequency_response(omega)[0, 0]
-            # The differences are local: the first case lies broad and grey below the others.
-            style = {"color": figures.GREY, "linewidth": 2.5} if number == 0 else {"linewidth": 1.0}
-            style |= {"linestyle": "--" if number > 1 else "-"}
-            style |= {"color": colours[label]["color"]} if number and colours else {}
-            add_magnitude(axis, omega, response, label=label, **style)
-        axis.set_title(f"{names[source]} to $e_{{true}}$")
-        axis.set_ylabel("magnitude (dB re 1 m/N)" if source in ("u_ff", "w") else "magnitude (dB)")
-    figures.label(axes, "frequency (Hz)")
-    for axis in axes[-1]:
-        axis.xaxis.set_minor_formatter(NullFormatter())
-    if len(sources) % 2:
-        axes[-1, 1].set_axis_off()
-        axes[-1, 1].legend(*axes[0, 0].get_legend_handles_labels(), loc="center")
-        axes[-2, 1].tick_params(labelbottom=True)
-        axes[-2, 1].set_xlabel("frequency (Hz)")
-    else:
-        figures.legend_below(axes[0, 0], len(cases))
-    return figure
-
-
 def gain_cases(
     position: int,
     controller: Pid,
