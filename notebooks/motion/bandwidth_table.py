@@ -330,6 +330,9 @@ def bandwidths(
         "motion.bandwidth.ordering": float(values == sorted(values)),
         "motion.bandwidth.doubled-by-ad": float(found["ad"] > 2 * found["pid"]),
         "motion.bandwidth.doubled-by-both": float(found["mc-and-ad"] > 2 * found["pid"]),
+        "motion.bandwidth.ad-above-mc": float(found["ad"] > found["mc"]),
+        "motion.bandwidth.both-above-all": float(found["mc-and-ad"] == max(values)),
+        "motion.bandwidth.mc-limited": float(found["mc"] < found["mc-two-constraints"]),
     }
 
 

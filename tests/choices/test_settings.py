@@ -350,6 +350,8 @@ def test_a_choice_that_a_study_holds_leaves_its_numbers_unknown(workbook):
     options, defaults = {"shape": ["a", "b"], "floor": ["1", "2"]}, {"shape": 0, "floor": 1}
     found = settings._untried(number, {"floor": ["motion.table-1"]}, options, defaults)
     assert found.axes == ("shape", "floor") and found.agrees.tolist() == [[-1, 1], [-1, 0]]
+    other = settings._untried(number, {"floor = 1": ["motion.table-1"]}, options, defaults)
+    assert other.agrees.tolist() == [[1, -1], [0, -1]]  # not at the default, at the option that is named
     joint = best_joint([found], options, defaults)
     assert [each.agree for each in joint.settings] == [1, 0, 0, 1]
     assert not joint.settings[2].contradicts

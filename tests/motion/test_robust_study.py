@@ -5,7 +5,7 @@ from experiments.motion.machines import stage
 from experiments.motion.scan_study import published_scan
 from experiments.motion.uncertainty import norm_bound, perturbed, sample_errors, sampled_derivatives
 from naive import motion_filters as naive
-from notebooks.motion.robust_comparison import filter_model, record_scans
+from notebooks.motion.robust_comparison import both_over_ad, filter_model, perturbed_ratios, record_scans
 from stillwork.lti.discretisation import zoh_modes
 
 
@@ -79,3 +79,15 @@ def test_recorded_scan_is_its_naive_twin(scan):
         states, u, y = naive.scan(plant.a, plant.b, shapes, reference, forward, scan.controller, noise[run])
         for ours, twin in ((records.states[run], states), (records.u[run, 0], u), (records.y[run, 0], y)):
             np.testing.assert_allclose(ours, twin, rtol=1e-7, atol=1e-9 * np.abs(twin).max())
+
+
+@pytest.mark.parametrize("size", [0.0, 0.05])
+def test_both_over_ad_is_that_of_table_5_2(size):
+    """At the printed Q_nu from the whole table, with the same noise; at a small one the two are about equal."""
+    table = perturbed_ratios(4, 7, size=size, sample_time=1e-4)
+    found = both_over_ad(1e3, 4, 7, size=size, sample_time=1e-4)
+    np.testing.assert_allclose(found["original"], table["MC and AD"] / table["AD"], rtol=1e-9)
+    whole = table["MC and AD, redesigned"] / table["AD, redesigned"]
+    np.testing.assert_allclose(found["redesigned"], whole, rtol=1e-9)
+    small = both_over_ad(0.03, 4, 7, size=size, sample_time=1e-4)
+    assert np.all(small["original"] > found["original"]) and abs(np.median(small["original"]) - 1) < 0.03

@@ -120,7 +120,7 @@ def _said(topic: str, name: str, options: Iterable[str]) -> dict[str, list[str]]
     file = paths.data(topic, "paper.toml")
     given = read_toml(file).get(name, {}) if file.exists() else {}
     for axis in given if name == "untried" else (each for mine in given.values() for each in mine):
-        require_choice(f"{file}: {name}", axis, options)
+        require_choice(f"{file}: {name}", axis.partition(" = ")[0], options)
     return given
 
 
@@ -145,11 +145,12 @@ def _hoped(numbers: list[Number]) -> list[Number]:
 
 
 def _untried(number: Number, untried: dict, options: dict, defaults: dict[str, int]) -> Number:
-    """With the choices that move it and that its study holds: known at their defaults alone."""
-    for axis, begins in untried.items():
+    """With the choices that move it and that its study holds: known at their defaults, or the option named, alone."""
+    for where, begins in untried.items():
+        axis, _, option = where.partition(" = ")
         if axis not in number.axes and any(f"{number.id}.".startswith(f"{each}.") for each in begins):
             table = np.full((*number.agrees.shape, len(options[axis])), -1, np.int8)
-            table[..., defaults[axis]] = number.agrees
+            table[..., options[axis].index(option) if option else defaults[axis]] = number.agrees
             number = Number(number.id, (*number.axes, axis), table)
     return number
 
