@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
-from scipy import signal
 
-from experiments.isolation.floors import coloured_floor, flat_floor
+from experiments.isolation.floors import flat_floor
 from experiments.isolation.simulation import simulate_together
 from experiments.isolation.steady import steady_state
 from experiments.isolation.twin import load_twin
@@ -59,13 +58,12 @@ def test_the_speed_up_at_equal_variance_is_that_of_plain_loops():
         return np.exp(np.log(slow / fast)[:, 3:].mean())
 
     naive = [ratio(lms, each) for each in rls] + [ratio(step, rls[0])]
-    study = {"seed": 5, "runs": 8, "duration_s": SECONDS}
-    felms_runs = convergence.repeat("FeLMS", **study)
     settings = [{"memory_s": m, "initial_covariance": s} for m, s in zip(memories, starts, strict=True)]
-    ferls_runs = [convergence.repeat("FeRLS", **each, **study) for each in settings]
-    ours = [convergence.speed_up(convergence.pair(felms_runs, each))[0] for each in ferls_runs]
-    quick = convergence.repeat("FeLMS", step_size=convergence.EQUAL_STEP, **study)
-    ours.append(convergence.speed_up(convergence.pair(quick, ferls_runs[0]))[0])
+    cases = [convergence.Case("FeLMS"), *(convergence.Case("FeRLS", **each) for each in settings)]
+    cases.append(convergence.Case("FeLMS", step_size=convergence.EQUAL_STEP))
+    plain, *others, quick = convergence.repeat_all(cases, seed=5, runs=8, duration_s=SECONDS)
+    ours = [convergence.speed_up(convergence.pair(plain, each))[0] for each in others]
+    ours.append(convergence.speed_up(convergence.pair(quick, others[0]))[0])
     assert ours == pytest.approx(naive, rel=0.2)  # other floors: a run of one scatters by a tenth
     assert naive[1] < 1.6 < 2 < naive[2] < 3 < 7 < naive[3]
 
@@ -85,25 +83,3 @@ def test_a_speed_up_is_the_geometric_mean_of_w4_to_w9():
     expected = np.sqrt(np.array([3**3 * 6**3, 3**3 * 6**2 * 6 / 9]).prod() ** (1 / 6))
     assert convergence.speed_up(study)[0] == pytest.approx(expected)
     assert convergence.faster_each(study)[0] == 0.5
-
-
-def test_beta_on_signals_follows_the_floor():
-    # What the ledger says of literal-beta: equal power of the floor before and behind beta H.
-    twin, f = load_twin("fitted"), np.geomspace(0.5, 2000, 4000)
-    gain = signal.freqz_sos(twin.integrator, f, fs=5000.0)[1] / twin.feedforward.beta
-    found = []
-    for floor in (flat_floor(80.0), coloured_floor(1500.0)):
-        density = floor.density(f)[0]
-        found.append(np.sqrt(np.trapezoid(density, f) / np.trapezoid(density * np.abs(gain) ** 2, f)))
-    assert found == pytest.approx([90, 417], rel=0.02)
-
-
-def test_the_variance_without_forgetting_falls_by_its_law():
-    rate, memory, rng = 4, 10.0, np.random.default_rng(0)  # samples a second, s
-    regressors, noise = rng.standard_normal((2, 600 * rate, 2000))
-    inverse = rate * memory + np.cumsum(regressors**2, axis=0)  # P^-1 from the steady one of that memory
-    square = np.mean((np.cumsum(regressors * noise, axis=0) / inverse) ** 2, axis=1)
-    early, late = (20.0, 40.0), (500.0, 600.0)
-    means = [square[round(low * rate) : round(high * rate)].mean() for low, high in (early, late)]
-    law = [convergence.mean_of_law(*part, memory) for part in (early, late)]
-    assert means[0] / means[1] == pytest.approx(law[0] / law[1], rel=0.1)
