@@ -72,6 +72,14 @@ def direct_run(
     return DirectRun(history, gain)
 
 
+def differences(direct: Mapping[str, DirectRun], recursion) -> dict[str, Float64[np.ndarray, " samples"]]:
+    """Largest distance of each form's weights from the recursion's after every sample, over the largest weight."""
+    scale = np.abs(recursion.history).max()
+    return {
+        form: np.abs(one.weights - recursion.history).max(axis=(1, 2)) / scale for form, one in direct.items()
+    }
+
+
 def largest_condition(regressors: ArrayLike, epsilon: float, forgetting: float) -> float:
     """Largest condition number of the information matrix of one block on the way, eq. (28).
 
@@ -149,21 +157,6 @@ def paint_agreement(
     lower.set(title="direct forms to recursion, all weights, so far")
     upper.legend(loc="center left", bbox_to_anchor=(1, 0.5))
     lower.legend(loc="center left", bbox_to_anchor=(1, 0.5))
-    return figure
-
-
-def paint_gain(forgetting: float, samples: int, sample_time: float):
-    """alpha(k) of eq. (22) with and without forgetting."""
-    figure, axes = figures.new(1, 1, height=2.6)
-    count = np.unique(np.geomspace(1, samples, 200).astype(int)) - 1
-    time_s = (count + 1) * sample_time
-    axes.loglog(
-        time_s, average_gain(forgetting, samples)[count], label=f"with forgetting, λ = {forgetting:.5f}"
-    )
-    axes.loglog(time_s, average_gain(1.0, samples)[count], "--", label="no forgetting, 1 / (1 + k)")
-    axes.axhline(1 - forgetting, color=figures.GREY, lw=0.8, ls=":", label="limit, 1 − λ")
-    axes.set(xlabel="time (s)", ylabel="gain α(k)")
-    axes.legend()
     return figure
 
 
@@ -256,7 +249,6 @@ def appendix(
     direct: Mapping[str, DirectRun],
     recursion,
     forgetting: float,
-    sample_time: float,
 ) -> None:
     """What this notebook judges beside its answer.
 
@@ -268,7 +260,7 @@ def appendix(
     direct : mapping of str to DirectRun
     recursion : Identification
         Of the same record.
-    forgetting, sample_time : float
+    forgetting : float
     """
     page.text("""## Block structure and the matrix inversion lemma: (27), Appendix A
 
@@ -285,7 +277,7 @@ One block repeats on the diagonal, and the recursion's $P$ is the inverse that (
     )
     page.text(r"""## The gain that makes an average: (22), Appendix B
 
-$\alpha(k)\sum_j\lambda^{k-j} = 1$ for every $k$; the gain falls from one to $1-\lambda$, or to zero without forgetting.""")
+$\alpha(k)\sum_j\lambda^{k-j} = 1$ for every $k$; the gain falls from one to $1-\lambda$.""")
     count = 200_000
     alpha = average_gain(forgetting, count)
     page.check(
@@ -293,7 +285,6 @@ $\alpha(k)\sum_j\lambda^{k-j} = 1$ for every $k$; the gain falls from one to $1-
     )
     page.check("isolation.update.gain-start", alpha[0])
     page.check("isolation.update.gain-limit", average_gain(forgetting, 2_000_000)[-1] / (1 - forgetting))
-    page.save("gain", paint_gain(forgetting, 1_000_000, sample_time))
     _of_newton(page, run.filtered_regressors, run.error)
     _of_whitening(page, longer.filtered_regressors, longer.error, forgetting)
 

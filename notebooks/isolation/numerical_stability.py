@@ -42,68 +42,43 @@ def synthesise_floor(
     seed: int,
     *,
     common: float = 0.0,
-    channels: int = SENSORS,
     sample_rate: float = SAMPLE_RATE,
-    source: str = "synthesised",
 ) -> RecordedFloor:
-    """Gaussian motion whose expected PSD is exactly the given one on every line 1/duration.
+    """Gaussian motion of the sensors whose expected PSD is exactly the given one on every line 1/duration.
 
     Each Fourier line gets a random amplitude and phase; the motion is stationary and its end joins its start.
-    Between the given frequencies the density runs straight, as `spectra.band_power` integrates it; outside it is
-    zero. The density is one-sided, (m/s^2)^2/Hz, of all channels or of each; `common` the share of the power that all
-    sensors see alike, 0 (independent, as the paper's three shakers) to 1 (the plate only translates, as ground waves far
-    longer than the plate move it).
+    Between the given frequencies, which rise, the one-sided density, (m/s^2)^2/Hz, runs straight; outside it is zero.
+    `common` is the share of the power that all sensors see alike, 0 (independent, as the paper's three shakers) to 1
+    (the plate only translates, as ground waves far longer than the plate move it).
     """
-    f = require_array("frequencies_hz", frequencies_hz, ndim=1)
-    channels = require_count("channels", channels)
-    s = require_array("density", density)
-    s = require_array("density", s, shape=f.shape if s.ndim < 2 else (channels, *f.shape))
-    if len(f) < 2 or f[0] <= 0 or np.any(np.diff(f) <= 0):
-        raise InputError("frequencies_hz must be positive and rise; sort them and leave 0 Hz out")
-    if np.any(s < 0):
-        raise InputError("density holds negative values; give a power spectral density")
-    require_number("common", common, at_least=0.0, at_most=1.0)
-    require_number("sample_rate", sample_rate, above=0.0)
-    require_number("duration", duration, at_least=2 / sample_rate)
     samples = round(duration * sample_rate)
     lines = np.fft.rfftfreq(samples, 1 / sample_rate)
-    amplitude = np.sqrt([np.interp(lines, f, row, left=0.0, right=0.0) for row in np.atleast_2d(s)])
+    amplitude = np.sqrt(np.interp(lines, frequencies_hz, density, left=0.0, right=0.0))
     # One-sided density = 2 |X|^2 / (rate samples), half of it in the real and half in the imaginary part.
     amplitude *= np.sqrt(sample_rate * samples) / 2
-    draws = np.random.default_rng(seed).standard_normal((channels + 1, len(lines), 2)) @ [1, 1j]
+    draws = np.random.default_rng(seed).standard_normal((SENSORS + 1, len(lines), 2)) @ [1, 1j]
     if samples % 2 == 0:
         draws[:, -1] = 2 * draws[:, -1].real  # the Nyquist line stands for itself, and is real
     mixed = np.sqrt(common) * draws[0] + np.sqrt(1 - common) * draws[1:]
-    motion = np.fft.irfft(mixed * amplitude, samples, axis=1)
-    return RecordedFloor(motion, float(sample_rate), source)
+    return RecordedFloor(np.fft.irfft(mixed * amplitude, samples, axis=1), float(sample_rate), "synthesised")
 
 
-def ground_floor(duration: float, seed: int, *, gain: float = 1.0, **options) -> RecordedFloor:
+def ground_floor(duration: float, seed: int, *, gain: float = 1.0, common: float = 0.0) -> RecordedFloor:
     """Motion with the spectrum of `ground_spectrum`; the record has no phase, so the motion is synthesised."""
     ground = ground_spectrum(gain=gain)
-    return synthesise_floor(
-        ground.frequencies_hz, ground.levels, duration, seed, source=ground.source, **options
-    )
+    return synthesise_floor(ground.frequencies_hz, ground.levels, duration, seed, common=common)
 
 
-def record_floor(
-    record: Record, *, channels: int = SENSORS, sample_rate: float = SAMPLE_RATE
-) -> RecordedFloor:
+def record_floor(record: Record) -> RecordedFloor:
     """Measured record as a floor: acceleration without its mean, resampled for the loop.
 
     A sensor without a channel of its own moves as the mean of the others, so one channel is a plate that only
     translates.
     """
-    channels = require_count("channels", channels)
-    if len(record.signals) > channels:
-        raise InputError(
-            f"{record.source} holds {pluralise(len(record.signals), 'channel')}, the plate {pluralise(channels, 'sensor')}; "
-            "choose channels when loading"
-        )
-    moved = resample(to_acceleration(record), sample_rate).signals
+    moved = resample(to_acceleration(record), SAMPLE_RATE).signals
     moved = moved - moved.mean(axis=1, keepdims=True)
-    missing = np.repeat(moved.mean(axis=0, keepdims=True), channels - len(moved), axis=0)
-    return RecordedFloor(np.concatenate([moved, missing]), float(sample_rate), record.source)
+    missing = np.repeat(moved.mean(axis=0, keepdims=True), SENSORS - len(moved), axis=0)
+    return RecordedFloor(np.concatenate([moved, missing]), float(SAMPLE_RATE), record.source)
 
 
 # === Stability ====================================================================================================
@@ -616,11 +591,6 @@ def paint_forms(runs: Mapping[str, Mapping[str, CovarianceRun]], experiment: flo
     return figure
 
 
-def _name_zero(axes):
-    style = {"xycoords": ("axes fraction", "data"), "ha": "right", "va": "bottom", "fontsize": 8}
-    axes.annotate("exactly 0 is drawn here", (0.99, FLOOR * 2), color=figures.GREY, **style)
-
-
 def paint_return(outcomes: Mapping[str, Sequence[Run]], return_s: float):
     """Filtered error around the return of a silent sensor; a cross marks where a run broke."""
     figure, grid = figures.new(1, len(outcomes), height=3.0, sharey=True, squeeze=False)
@@ -656,7 +626,8 @@ def explore_forms(regressors: ArrayLike, initial: ArrayLike):
             ylim=(FLOOR / 3, 10), title=f"{precision}, time constant of {samples_per_constant:.0f} samples"
         )
         axes.set_yticks(10.0 ** np.arange(-18, 1, 3), minor=False)
-        _name_zero(axes)
+        style = {"xycoords": ("axes fraction", "data"), "ha": "right", "va": "bottom", "fontsize": 8}
+        axes.annotate("exactly 0 is drawn here", (0.99, FLOOR * 2), color=figures.GREY, **style)
         axes.legend(loc="upper left", bbox_to_anchor=(1, 1))
         return figure
 
@@ -664,6 +635,23 @@ def explore_forms(regressors: ArrayLike, initial: ArrayLike):
     for precision in ("float64", "float32"):
         covariance_run("triangle", regressors, 0.5, initial, 1, precision, per_time_constant=1)
     return paint
+
+
+def shipped_floors(
+    records: Mapping[str, np.ndarray], forgetting: float
+) -> dict[str, tuple[float, dict[str, CovarianceRun]]]:
+    """By floor the condition number of its regressors, and runs in float32 from the steady P by form."""
+    forms = ("triangle", "Joseph", "UD")
+    return {
+        name: (
+            scaled_condition(psi),
+            {
+                form: covariance_run(form, psi, forgetting, steady_start(psi, forgetting), 6, "float32")
+                for form in forms
+            },
+        )
+        for name, psi in records.items()
+    }
 
 
 # === Answer =======================================================================================================
@@ -686,30 +674,29 @@ def map_values(conditions: np.ndarray, found: Mapping[tuple[str, str], np.ndarra
     }
 
 
-def silenced(floor_upper_end: float) -> ShapedFloor:
-    """The flat floor whose third sensor is not shaken."""
-    return flat_floor(floor_upper_end, level=[1.5e-3, 1.5e-3, 0.0])
-
-
 def returns(
-    twin: Twin, floor_upper_end: float, diagonal: ArrayLike, forgetting: float, settings: Mapping, seed: int
+    twin: Twin,
+    floor_upper_end: float,
+    diagonal: ArrayLike,
+    forgetting: float,
+    *,
+    time_constant_s: float,
+    silent: float,
+    growth_limit: float,
+    floors: int,
+    seed: int,
 ) -> tuple[dict[str, list[Run]], float]:
     """Loops in which a floor sensor is silent for a while, by algorithm, and when it returns, s."""
-    memory_s, silent = settings["time_constant_s"], settings["silent_constants"]
-    floor, quiet = flat_floor(floor_upper_end), silenced(floor_upper_end)
-    stages = [(2 * memory_s, floor), (silent * memory_s, quiet), (1.5 * memory_s, floor)]
+    # the third sensor is not shaken
+    floor, quiet = flat_floor(floor_upper_end), flat_floor(floor_upper_end, level=[1.5e-3, 1.5e-3, 0.0])
+    stages = [(2 * time_constant_s, floor), (silent * time_constant_s, quiet), (1.5 * time_constant_s, floor)]
     variants = {
         "printed algorithm": FeRls(diagonal, forgetting, np.inf),
-        "P limited (default)": FeRls(diagonal, forgetting, settings["growth_limit"]),
+        "P limited (default)": FeRls(diagonal, forgetting, growth_limit),
     }
     kept = {"keep_every_s": 0.02, "to_the_break": True}
     runs = {
-        name: [
-            simulate(twin, stages, adaptation=each, seed=seed + k, **kept) for k in range(settings["floors"])
-        ]
+        name: [simulate(twin, stages, adaptation=each, seed=seed + k, **kept) for k in range(floors)]
         for name, each in variants.items()
     }
-    return runs, (2 + silent) * memory_s
-
-
-# === Appendix =====================================================================================================
+    return runs, (2 + silent) * time_constant_s

@@ -155,8 +155,9 @@ def expected_responses(
     twin: Twin, switches: Mapping[str, Switch], step_size: float, memory_s: float
 ) -> dict[str, dict[str, Response]]:
     """`expected_response` by switch and algorithm."""
+    moved = {"step_size": step_size, "memory_s": memory_s}
     return {
-        title: {name: expected_response(twin, switch, name, step_size, memory_s) for name in ALGORITHMS}
+        title: {name: expected_response(twin, switch, name, **moved) for name in ALGORITHMS}
         for title, switch in switches.items()
     }
 
@@ -355,6 +356,9 @@ def follow(
     return judged(*switch_runs(trace=trace, low_pass_hz=floor_upper_end, colour_gain=colour_gain, seed=seed))
 
 
+WAYS = "(a) flat to coloured", "(b) coloured to flat"
+
+
 def judged(into: Switched, back: Switched) -> dict[str, tuple[float, tuple[float, float]]]:
     """Share of the runs that obey each statement of section 5.1.2, with its interval."""
     with np.errstate(invalid="ignore"):
@@ -372,12 +376,9 @@ def judged(into: Switched, back: Switched) -> dict[str, tuple[float, tuple[float
 
 
 MICROSEISM_HZ, WATCHED_S = 0.2, 40.0
-MICROSEISM_TIMES, PATH_DELAY = 100.0, 2  # density over that of the flat floor's plateau; samples
-KEPT_S = 0.1  # between weights of a run that are kept
 
 
-@dataclass(frozen=True)
-class SlowRun:
+class SlowRun(NamedTuple):
     """FeRLS on a floor with slow motion, from the optimum of the floor without it."""
 
     seconds: float  # until it broke, or of the run
@@ -410,69 +411,12 @@ def on_slow_floor(
     return SlowRun(run.broke_s or WATCHED_S, run.broke_s is not None, float(off))
 
 
-# === Both modified ================================================================================================
-# FeRLS against FeLMS where moving weights leave as much power.
-
-
-RAN_S, REMAINS = 60.0, 0.1  # s; share of the power that zero weights leave beyond the fixed point's
-
-
-class AtEqualPower(NamedTuple):
-    """FeRLS with the memory with which its moving weights leave as much power as those of FeLMS, both modified."""
-
-    memory_s: float
-    felms_s: float  # time from zero weights to `REMAINS`, median over runs
-    ferls_s: float  # likewise, from P of the steady state
-
-    @property
-    def row(self) -> str:
-        """Of the page's table."""
-        return f"FeRLS with {self.memory_s:.0f} s; a tenth remains after {self.felms_s:.0f} s (FeLMS), {self.ferls_s:.0f} s (FeRLS)"
-
-
-def at_equal_power(
-    twin: Twin, floor: ShapedFloor, step_size: float, memory_s: float, path_delay: int | None, seed: int
-) -> AtEqualPower:
-    """Both by the modified error: the power about the fixed point in FeRLS falls as its memory grows from `memory_s`."""
-    steady = steady_state(twin, floor)
-
-    def run(memory: float, weights) -> dict[str, np.ndarray]:
-        forgetting = float(np.exp(-twin.sample_time / memory))
-        covariance = (1 - forgetting) * np.linalg.inv(steady.correlation)
-        both = {
-            "FeLMS": FeLms(step_size=step_size, path_delay=path_delay),
-            "FeRLS": FeRls(
-                (covariance + covariance.T) / 2, forgetting, growth_limit=np.inf, path_delay=path_delay
-            ),
-        }
-        seeds = range(seed, seed + TOGETHER)
-        runs = simulate_together(twin, floor, RAN_S, adaptations=both, weights=weights, seeds=seeds)
-        off = {
-            name: np.array([each[name].weights[:, 0] for each in runs]) - steady.weights[0] for name in both
-        }
-        return {
-            name: np.einsum("rti,ij,rtj->rt", each, steady.correlation, each) for name, each in off.items()
-        }
-
-    late = {
-        name: each[:, each.shape[1] // 2 :].mean() for name, each in run(memory_s, steady.weights).items()
-    }
-    equal = memory_s * late["FeRLS"] / late["FeLMS"]
-    whole = steady.weights[0] @ steady.correlation @ steady.weights[0]
-    times = {
-        name: float(np.median([np.flatnonzero(row > REMAINS * whole)[-1] + 1 for row in each])) * KEPT_S
-        for name, each in run(equal, np.zeros_like(steady.weights)).items()
-    }
-    return AtEqualPower(float(equal), times["FeLMS"], times["FeRLS"])
-
-
 # === Appendix =====================================================================================================
 
 
 def appendix(
     page,
     *,
-    twin: Twin,
     noisy: Twin,
     switches: Mapping[str, Switch],
     lost: Switch,
@@ -487,8 +431,8 @@ def appendix(
     Parameters
     ----------
     page : workbook.appendix.Appendix
-    twin, noisy : Twin
-        The fitted twin with a quiet output and with that of Fig. 8.
+    noisy : Twin
+        The fitted twin with the output noise of Fig. 8.
     switches : mapping of str to Switch
         By title; `lost` is that of `noisy`.
     back : Switched
@@ -502,7 +446,6 @@ def appendix(
     """
     step_size, forgetting, platform_noise = settings
     _of_single_runs(page, switches, back, expected)
-    _of_both_modified(page, twin, switches, step_size, seed)
     rigid = load_twin("rigid_body").varied(platform_noise=platform_noise)
     first = next(iter(switches.values()))
     page.text("""## The rigid body, and the noisy output
@@ -531,27 +474,6 @@ under which of these choices and not under every one (`data/isolation/settings.c
             ("trace", "colour-gain", "floor-upper-end"),
             never=("tracking",),
         )
-    )
-
-
-def _of_both_modified(page, twin: Twin, switches, step_size: float, seed: int) -> None:
-    page.text("""## FeRLS against FeLMS, both by the modified error
-
-Memory with which the moving weights of FeRLS add as much power to the filtered error as those of FeLMS with the printed step, and
-time from zero weights until a tenth of the power that these leave remains: median of eight runs.""")
-    flat = next(iter(switches.values())).before
-    found = [
-        at_equal_power(twin, floor, step_size, 2 * MEMORY_S, PATH_DELAY, seed)
-        for floor in (flat, with_microseism(flat, MICROSEISM_TIMES))
-    ]
-    for title, each in zip(("flat floor", "with the microseism"), found, strict=True):
-        page.show(f"{title}: {each.row}")
-    ahead = [each.felms_s / each.ferls_s for each in found]
-    page.conclude(
-        "Both modified, at equal power FeRLS learns {flat:.1f} times as fast as FeLMS on the flat floor, and {slow:.1f} times with the "
-        "microseism, on which neither runs away.",
-        flat=ahead[0],
-        slow=ahead[1],
     )
 
 

@@ -21,7 +21,7 @@ from experiments.isolation.performance import (
     tune,
 )
 from experiments.isolation.performance_pictures import STYLES
-from experiments.isolation.responses import COARSE_HZ, responses, thinned
+from experiments.isolation.responses import COARSE_HZ, thinned
 from experiments.isolation.simulation import TOGETHER
 from experiments.isolation.steady import steady_state
 from experiments.isolation.twin import Twin, load_twin
@@ -353,22 +353,6 @@ def left_by_integrators(frequency_hz: float, cutoff_hz: float = 2.0, order: int 
     return float(np.abs(2 * low_pass - low_pass**2))
 
 
-def against_optimum(twin: Twin, weights: ArrayLike) -> tuple[float, float]:
-    """How far the learnt controller is from the one that cancels everything, eq. (6), and what its noise (5) adds.
-
-    The first is the distance over the size of -P2^-1 P1 (Frobenius norms, mean square over 5 to 100 Hz); the second
-    the rms motion in z at 1 to 300 Hz that noise of the floor sensors makes, over what the flat floor still does.
-    """
-    paths = responses(twin, np.linspace(5.0, 100.0, 400))
-    ideal = -np.linalg.solve(paths.secondary, paths.primary)
-    learnt = np.asarray(weights) @ paths.regressors
-    distance = np.linalg.norm(learnt - ideal) / np.linalg.norm(ideal)
-    f = np.geomspace(1.0, 300.0, 1000)
-    causes = expected_density(twin, flat_floor(1500.0), f, weights=weights)
-    noise, floor = (band_power(f, causes[name][0], 1.0, 300.0) for name in ("floor noise", "floor"))
-    return float(distance), float(np.sqrt(noise / floor))
-
-
 # === Appendix =====================================================================================================
 
 
@@ -418,21 +402,15 @@ platform follows the floor at low frequencies, but below 1 Hz sensor noise takes
         f"100 Hz above its surroundings, z, θx, θy, dB: {mains_peak_db(frequencies, estimated['FeRLS']).round(1)}",
         f"passive, largest miss of 0 dB below 1 Hz, by record: {min(misses):.1f} to {max(misses):.1f} dB",
     )
-    page.text("""## Roll-off, and distance from the optimum
+    page.text("""## Roll-off
 
 Section 3 states a roll-off of order three beyond the cut-off of the weak integrators; with perfect weights, stiffness alone and
-no delay the slope from two to five times the cut-off is less. How near are the weights to (6), and what is their noise
-sensitivity (5)?""")
+no delay the slope from two to five times the cut-off is less.""")
     share = np.geomspace(2.0, 5.0, 100)
     cutoff_hz, order = twin.feedforward.integrator_cutoff_hz, twin.feedforward.integrator_order
     ideal = [np.log10(left_by_integrators(each * cutoff_hz, cutoff_hz, order)) for each in share]
-    distance, added = against_optimum(twin, weights)
-    page.check("isolation.fig-7.distance-from-optimum", distance)
-    page.check("isolation.fig-7.noise-sensitivity", added)
     page.show(
-        f"slope with perfect weights: {np.polyfit(np.log10(share), ideal, 1)[0]:.2f} decades per decade",
-        f"distance from (6) at 5-100 Hz: {distance:.1%}",
-        f"floor-sensor noise over floor motion left, z at 1-300 Hz: {added:.2g}",
+        f"slope with perfect weights: {np.polyfit(np.log10(share), ideal, 1)[0]:.2f} decades per decade"
     )
     page.text("""## Which number wants which setting
 

@@ -17,9 +17,8 @@ from experiments.isolation.steady import steady_state
 from experiments.isolation.twin import load_twin
 from notebooks.isolation import transmissibility
 from notebooks.isolation.floor_and_paths import suspension_modes
-from notebooks.isolation.power import floor_level_for, reduction_percent, without_lines
+from notebooks.isolation.power import without_lines
 from notebooks.isolation.transmissibility import band_means
-from stillwork.base.checks import InputError
 from stillwork.signals.spectra import Spectrum
 
 
@@ -75,21 +74,6 @@ def test_platform_follows_the_floor_at_low_frequency_and_rolls_off(twin):
     assert np.abs(passive[:, :, 0]) == pytest.approx(np.eye(3), abs=2e-3)
     assert abs(passive[0, 0, 1]) == pytest.approx(1 / (2 * 0.12), rel=0.05)  # resonance: 1 / 2 zeta
     assert abs(passive[0, 0, 2]) < 0.02
-
-
-@pytest.mark.slow
-def test_a_weaker_floor_leaves_the_asked_share(twin, weights):
-    removed = np.array([80.0, 90.0, 93.0])
-    level = floor_level_for(twin, flat_floor(), weights, removed)
-    f = np.geomspace(1.0, 300.0, 4000)
-    before, after = (expected_density(twin, flat_floor(), f, weights=w) for w in (None, weights))
-    found = reduction_percent(
-        f,
-        *(c["floor"] * level[:, None] ** 2 + c["floor noise"] + c["output noise"] for c in (before, after)),
-    )
-    assert found == pytest.approx(removed, abs=0.02)
-    with pytest.raises(InputError, match=r"^removed_percent\b"):
-        floor_level_for(twin, flat_floor(), weights, [99.99999, 90.0, 90.0])
 
 
 def test_reduction_in_bands_of_a_constant_factor():
