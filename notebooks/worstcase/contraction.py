@@ -7,7 +7,7 @@ import numpy as np
 from experiments.worstcase.theory import counter_example, random_problem
 from stillwork.estimation.secular import SecularFunction, secular_function
 from workbook import figures
-from workbook.studies import run_study
+from workbook.studies import Study, run_study
 
 
 def convergence_trial(
@@ -66,6 +66,21 @@ def scalar_trial(rng: np.random.Generator) -> dict[str, float]:
         "at_infinity": float(slopes[-1] / beta - 1),
         "contracts": float(np.all(distances[1:] <= beta * distances[:-1] + rounding)),
     }
+
+
+def by_unknowns(found: dict[int, Study]):
+    """A row a number of unknowns: shares of `convergence_trial`, and the largest slopes."""
+    from pandas import DataFrame
+
+    return DataFrame(
+        {
+            "converged": {n: study["converged"].mean() for n, study in found.items()},
+            "monotone": {n: study["monotone"].mean() for n, study in found.items()},
+            "contraction": {n: np.mean(study["slope"] < 1) for n, study in found.items()},
+            "largest slope": {n: study["slope"].max() for n, study in found.items()},
+            "largest log-slope": {n: study["log_slope"].max() for n, study in found.items()},
+        }
+    ).rename_axis("unknowns")
 
 
 # === Contraction pictures ==================================================================================

@@ -10,7 +10,7 @@ from experiments.worstcase.pairs import MeasuredPair, Spectra, open_pair, residu
 from stillwork.base.checks import require_number
 from stillwork.estimation.min_max import qr_r, solve_sweep
 from stillwork.estimation.recursive import track
-from stillwork.identification.regressors import fir_regressors
+from stillwork.identification.regressors import exponential_bound, fir_regressors
 from workbook import figures, paths
 
 
@@ -61,6 +61,15 @@ def exchange(pair: MeasuredPair, spectra: Spectra, quiet_hz: tuple[float, float]
     still = (spectra.frequency >= quiet_hz[0]) & (spectra.frequency <= quiet_hz[1])
     noise = np.sqrt(spectra.output[still].mean() * (pair.band_hz[1] - pair.band_hz[0]))
     return MeasuredPair(pair.output, pair.input, pair.sample_rate, pair.band_hz, float(noise))
+
+
+def bounds_by_memory(pair: MeasuredPair, taps: int, memories: tuple[int, ...]):
+    """A row a memory (samples): the bound that covers every case and the typical one, m/s^2."""
+    from pandas import DataFrame
+
+    every = 3 * pair.noise * np.sqrt(taps)
+    rows = {m: (exponential_bound(every, 1 - 1 / m), pair.typical_bound(taps, 1 - 1 / m)) for m in memories}
+    return DataFrame(rows.values(), index=rows, columns=["guaranteed", "typical"]).rename_axis("memory")
 
 
 def paint_spectra(pair: MeasuredPair, spectra: Spectra, quiet_hz: tuple[float, float]):

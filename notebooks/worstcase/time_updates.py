@@ -130,35 +130,18 @@ UPDATES = {"exact": ("exact", 0), "fast": ("fast", 0)} | {
 ALPHA, ENERGY, COUNT = 0, 1, 2  # places in the array `scalars`: alpha, z, samples seen
 
 
-def start_printed(update: str, unknowns: int) -> tuple[np.ndarray, ...]:
-    """State before the first sample: of ``fast`` with eigenvalues and eigenvectors in place of R."""
-    square, vectors = np.zeros((unknowns, unknowns)), np.zeros((4, unknowns))
-    state = (vectors[0], np.array([np.inf, 0.0, 0.0]), vectors[1])
-    if update == "fast":
-        return vectors[2], np.eye(unknowns), *state
-    return square, *state, square.copy(), vectors[2]
-
-
-def advance_printed(
-    update: str, iterations: int, state, rows, outputs, bound: float, forgetting: float
-) -> Track:
-    """Take in more rows (samples, unknowns): ``exact`` (Theorem 2), ``approximate`` (20) or ``fast`` (Section 7)."""
-    samples = len(rows)
-    out = np.zeros(rows.shape), np.zeros(samples), np.zeros(samples), np.zeros(samples, np.int64)
-    given = rows, outputs, np.full(samples, bound), forgetting
-    if update == "fast":
-        run_fast(*given, *state, *out)
-    else:
-        run_sums(*given, iterations, *state, *out)
-    return Track(out[0].T, *out[1:], np.zeros(rows.shape[1], bool))
-
-
 def run_printed(update: str, iterations: int, regressors, outputs, bound: float, forgetting: float) -> Track:
-    """A recursion over a record (unknowns, samples)."""
-    state = start_printed(update, len(regressors))
-    return advance_printed(
-        update, iterations, state, np.ascontiguousarray(regressors.T), outputs, bound, forgetting
-    )
+    """A record (unknowns, samples) by ``exact`` (Theorem 2), ``approximate`` (20) or ``fast`` (Section 7)."""
+    n, samples = regressors.shape
+    vectors = np.zeros((4, n))
+    state = (vectors[0], np.array([np.inf, 0.0, 0.0]), vectors[1])
+    out = np.zeros((samples, n)), np.zeros(samples), np.zeros(samples), np.zeros(samples, np.int64)
+    given = np.ascontiguousarray(regressors.T), outputs, np.full(samples, bound), forgetting
+    if update == "fast":  # eigenvalues and eigenvectors in place of R
+        run_fast(*given, vectors[2], np.eye(n), *state, *out)
+    else:
+        run_sums(*given, iterations, np.zeros((n, n)), *state, np.zeros((n, n)), vectors[2], *out)
+    return Track(out[0].T, *out[1:], np.zeros(n, bool))
 
 
 @inlined_kernel
@@ -593,21 +576,6 @@ def paint_accuracy(records: dict[str, dict[str, np.ndarray]]):
     return figure
 
 
-def paint_counts(sizes: list[int], evaluations: float):
-    """Multiplications an update against n, with what the paper claims as slopes."""
-    figure, axes = figures.new(height=3.4)
-    for update in ("least squares", "ridge", "approximate", "exact", "fast"):
-        needed = 1.0 if update == "approximate" else evaluations
-        counts = [multiplications(update, n, needed) for n in sizes]
-        axes.loglog(sizes, counts, "o-", markersize=3, color=COLOURS[update], label=update)
-    n = np.array([sizes[0], sizes[-1]], dtype=float)
-    for power, name, colour in ((2, "n²", figures.BLACK), (3, "n³", figures.GREY)):
-        axes.loglog(n, 0.5 * n**power, color=colour, linewidth=0.8, linestyle="--", label=f"∝ {name}")
-    axes.set(xlabel="number of unknowns n", ylabel="multiplications per update")
-    axes.legend(ncols=2)
-    return figure
-
-
 def times_by_name() -> dict[str, np.ndarray]:
     """The committed table of benchmark times: ``unknowns`` and microseconds an update, by name."""
     rows = measured_times("worstcase", "update_times/update_times.csv")
@@ -711,7 +679,6 @@ def appendix(
     forgetting: float,
     seed: int,
     studies: dict[float, Study],
-    sizes: list[int],
     slope_sizes: list[int],
     times: dict[str, np.ndarray],
 ) -> None:
@@ -724,8 +691,8 @@ def appendix(
     seed : int
     studies : dict of Study
         Of `recursion_trial`, by the bound.
-    sizes, slope_sizes : list of int
-        Numbers of unknowns of the picture and of the slopes of the counts.
+    slope_sizes : list of int
+        Numbers of unknowns of the slopes of the counts.
     times : dict of ndarray
         Of `times_by_name`.
     """
@@ -753,7 +720,6 @@ it.""")
 A rank-one update of the eigenvectors of $R$ makes the *exact* root as cheap as one step of (20). The eigenvalues cost $O(n^2)$. The
 eigenvectors need a product of two $n\\times n$ matrices, $n^3$ multiplications. The paper's $O(n^2)$ rests on a cited fast multipole
 method, which we neither run nor judge: we count the form with the product (`cost-fast`), and tests count it in the running code.""")
-    page.save("multiplications", paint_counts(sizes, evaluations=2.0))
     for entry, update in (
         ("cost-as-it-stands", "approximate"),
         ("cost-rls", "least squares"),

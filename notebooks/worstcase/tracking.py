@@ -165,17 +165,17 @@ def win_map(
     return np.array([[ratio(bound, noise) for noise in noises] for bound in bounds])
 
 
-def repeated_draws(study: Study, trials: int, late: int) -> dict[str, np.ndarray]:
+def repeated_draws(study: Study, trials: int, late: int, power: int = 1) -> dict[str, np.ndarray]:
     """Draws of so many trials each, from sample `late` on, of `tracking_trial`.
 
     ``ratio``: rms error of min-max over that of RLS in each draw. ``below``: whether its mean over the trials is the
-    smaller, (draws, samples); ``median``: the same of the medians over the draws.
+    smaller, (draws, samples), of the errors or of a `power` of them; ``median``: the same of the medians over the draws.
     """
     errors = {
         name: study[name].reshape(-1, trials, study[name].shape[1])[..., late:] for name in ("min_max", "rls")
     }
     sizes = {name: np.sqrt(np.mean(each**2, axis=(1, 2))) for name, each in errors.items()}
-    curves = {name: each.mean(axis=1) for name, each in errors.items()}
+    curves = {name: np.mean(each**power, axis=1) for name, each in errors.items()}
     middle = {name: np.median(each, axis=0) for name, each in curves.items()}
     return {
         "ratio": sizes["min_max"] / sizes["rls"],
@@ -279,10 +279,10 @@ def tracking(
     late = settled_from(forgetting, fig_2_from)
     found = {"bound": derived}
     for study, name in ((printed, "fig-2"), (consistent, "fig-2-consistent")):
-        below, median = _below(study, late, fig_2_average)
-        found[name] = below[0].mean()
-        found[f"{name}-repeated"] = below.all(axis=1).mean()
-        found[f"{name}-median"] = median.mean()
+        draws = repeated_draws(study, TRIALS, late, 1 if fig_2_average == "mean" else 2)
+        found[name] = draws["below"][0].mean()
+        found[f"{name}-repeated"] = draws["below"].all(axis=1).mean()
+        found[f"{name}-median"] = draws["median"].mean()
     own = {
         name: settled(printed[name][:TRIALS], forgetting, fig_2_from) for name in ("min_max", "rls", "ridge")
     }
@@ -308,16 +308,6 @@ def weighted_excitation(forgetting: float) -> tuple[float, int]:
     rows = np.random.default_rng(1).standard_normal((200, len(FIG_2_PARAMETERS), samples))
     rows *= exponential_weights(samples, forgetting)
     return PUBLISHED_NORM / float(np.linalg.norm(rows, 2, axis=(1, 2)).mean()), samples
-
-
-def _below(study: Study, late: int, average: str) -> tuple[np.ndarray, np.ndarray]:
-    """Where min-max's curve lies below that of RLS: in each repetition, and in the median over them."""
-    power = 1 if average == "mean" else 2
-    curves = [
-        np.mean(study[name].reshape(-1, TRIALS, study[name].shape[1])[..., late:] ** power, axis=1)
-        for name in ("min_max", "rls")
-    ]
-    return curves[0] < curves[1], np.median(curves[0], axis=0) < np.median(curves[1], axis=0)
 
 
 # --- Abstract: weighting in tracking ------------------------------------------------------------------------------

@@ -1,12 +1,12 @@
 """Your record: what this notebook alone needs."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
 
-from experiments.worstcase.measured import paint_windows
+from experiments.worstcase.measured import loudest_band, paint_windows
 from experiments.worstcase.pairs import Pair, Spectra, residual
 from stillwork.base.checks import InputError, pluralise, require_array, require_count
 from stillwork.estimation.linear_fits import total_least_squares
@@ -128,6 +128,28 @@ def warnings_of(pair: Pair, fitted: Fitted, taps: int) -> list[str]:
     if abs(likeness) > 1 - 1e-6:
         said.append("input and output are one channel up to a factor: a model between them says nothing")
     return said
+
+
+def table_of(fitted: Fitted):
+    """A row a model: its bound, and what it leaves where it was fitted and on the last quarter."""
+    from pandas import DataFrame, Series
+
+    columns = {
+        "bound": Series(fitted.bounds).map("{:.3g}".format),
+        "where fitted": Series(fitted.inside).map("{:.3f}".format),
+        "held out": Series(fitted.held_out).map("{:.3f}".format),
+    }
+    return DataFrame(columns, index=list(fitted.held_out)).fillna("")
+
+
+def described(pair: Pair) -> Iterator[str]:
+    """What the record holds, sentence by sentence."""
+    yield f"{pair.source}: {len(pair.input)} samples at {pair.sample_rate:.6g} Hz; noise from {pair.noise_source}."
+    sides = zip(pair.names, (pair.input, pair.output), pair.noise, pair.units, strict=True)
+    for name, values, noise, unit in sides:
+        yield f"{name}: standard deviation {values.std():.4g}, of it noise {noise:.4g} {unit}."
+    low, high, share = loudest_band(pair.output, pair.sample_rate)
+    yield f"{share:.2f} of the output's power lies between {low:.4g} and {high:.4g} Hz."
 
 
 SPIKE = 12.0  # times the median of |x| over 0.6745, the deviation of Gaussian noise; a sine reaches 1.0, a hammer's blow more
