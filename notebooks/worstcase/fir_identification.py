@@ -1,5 +1,7 @@
 """FIR identification with a noisy input: what this notebook alone needs."""
 
+from functools import cache
+
 import numpy as np
 from scipy import signal, special
 
@@ -169,11 +171,14 @@ def _paint_estimates(panels, study: Study, parameters: tuple[float, ...]) -> np.
             axes.plot(time, study[name][:, number].mean(0), style, color=colour, label=label)
         axes.axhline(truth, color=figures.GREY, linewidth=2.5, alpha=0.5, zorder=1, label="true value")
         axes.set(ylabel=f"estimate of x{number + 1}", title=f"({'ab'[number]})")
-        # The first samples of total least squares run off any scale.
-        late = study["min_max"][:, number].mean(0)[10:]
-        reach = max(0.8, 1.3 * np.abs(late - truth).max())
-        axes.set(ylim=(truth - reach, truth + reach))
+        _frame(axes, study, number, truth)
     return time
+
+
+def _frame(axes, study: Study, number: int, truth: float):
+    # The first samples of total least squares run off any scale.
+    reach = max(0.8, 1.3 * np.abs(study["min_max"][:, number].mean(0)[10:] - truth).max())
+    axes.set(ylim=(truth - reach, truth + reach))
 
 
 def paint_corrections(study: Study):
@@ -235,16 +240,31 @@ def win_shares(
 
 def explore_fig_1(period: int, input_noise: float, output_noise: float, second: float):
     """Estimates of Fig. 1 with other unpublished choices: period, noise amplitudes, second parameter."""
-    parameters = (1.0, second)
-    study = run_study(
-        fir_trial, 10, 1, progress=False, parameters=parameters, period=int(period), samples=200,
-        input_noise=input_noise, output_noise=output_noise,
-    )  # fmt: skip
+    study = _explored(period, input_noise, output_noise, second)
+    figure, panels = _explorer_figure()
+    for number, (axes, truth) in enumerate(zip(panels, (1.0, second), strict=True)):
+        *lines, true = axes.lines
+        for line, (name, *_) in zip(lines, METHODS, strict=True):
+            line.set_ydata(study[name][:, number].mean(0))
+        true.set_ydata([truth, truth])
+        _frame(axes, study, number, truth)
+    return figure
+
+
+def _explored(period: int, input_noise: float, output_noise: float, second: float) -> Study:
+    record = {"parameters": (1.0, second), "period": int(period), "samples": 200}
+    noises = {"input_noise": input_noise, "output_noise": output_noise}
+    return run_study(fir_trial, 10, 1, progress=False, **record, **noises)
+
+
+@cache
+def _explorer_figure():
+    """Figure and panels of the explorer, kept for its next move: only their data change."""
     figure, panels = figures.new(1, 2, height=3.2)
-    _paint_estimates(panels, study, parameters)
+    _paint_estimates(panels, _explored(20, 0.1, 1.0, 0.5), (1.0, 0.5))
     figures.label(panels, "time (samples)")
     figures.legend_below(panels[0], 4)
-    return figure
+    return figure, panels
 
 
 # --- Section 9: Fig. 1 --------------------------------------------------------------------------------------------
