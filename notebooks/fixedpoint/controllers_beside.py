@@ -9,6 +9,7 @@ from itertools import product
 import numpy as np
 
 from experiments.fixedpoint.oscillator import load_oscillator
+from experiments.fixedpoint.search import run_simplex, sobol_points
 from stillwork.control import (
     Controller,
     DisturbanceObserver,
@@ -326,9 +327,6 @@ def search(
     cost: Callable, ranges: dict[str, tuple[float, float]], budget: int, seed: int
 ) -> dict[str, float]:
     """The best of `budget` points: about a third of them a Sobol sequence, evenly in the logarithms, then two simplexes from the best."""
-    from scipy.optimize import minimize
-    from scipy.stats import qmc
-
     low, high = np.log(list(ranges.values())).T
     tried: list[tuple[float, np.ndarray]] = []
 
@@ -339,15 +337,11 @@ def search(
         tried.append((cost(numbers_at(knobs)), np.clip(knobs, low, high)))
         return min(tried[-1][0], 1e3)
 
-    first = 2 ** int(np.log2(budget / 2))
-    for knobs in low + (high - low) * qmc.Sobol(len(low), rng=np.random.default_rng(seed)).random(first):
+    for knobs in sobol_points(low, high, budget, seed):
         value(knobs)
-    for size, until in ((0.15, (budget + first) // 2), (0.05, budget)):
+    for size, until in ((0.15, (budget + len(tried)) // 2), (0.05, budget)):
         start = min(tried, key=lambda each: each[0])[1]
-        steps = size * (high - low) * np.where(start + size * (high - low) > high, -1.0, 1.0)
-        simplex = np.vstack([start, start + np.diag(steps)])
-        options = {"initial_simplex": simplex, "maxfev": until - len(tried), "xatol": 1e-12, "fatol": 0.0}
-        minimize(value, start, method="Nelder-Mead", options=options)
+        run_simplex(value, start, low, high, size, until - len(tried))
     return numbers_at(min(tried, key=lambda each: each[0])[1])
 
 

@@ -1,7 +1,7 @@
 """Noise of numerical differentiation: what this notebook alone needs."""
 
-from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float64
@@ -12,7 +12,7 @@ from experiments.fixedpoint.choices import PRINTED_NOISE, SAMPLE_TIME, Values, t
 from experiments.fixedpoint.differentiation import steady_errors
 from experiments.fixedpoint.noise import Noise
 from experiments.fixedpoint.noise_pictures import motion_at_rest
-from stillwork.base.checks import InputError, pluralise, require_array, require_count, require_number
+from stillwork.base.checks import require_array, require_number
 from workbook import figures
 from workbook.studies import fraction, mean_interval, run_study
 
@@ -69,8 +69,7 @@ def quotient_cross_correlation(lag: int) -> float:
     return {0: 1.0, -1: -1.0}.get(lag, 0.0) / np.sqrt(2)
 
 
-@dataclass(frozen=True)
-class Correlations:
+class Correlations(NamedTuple):
     """Sample correlations of a record of errors at lags -`reach` .. `reach`."""
 
     lags: np.ndarray
@@ -81,15 +80,7 @@ class Correlations:
 
 def correlations(error: ArrayLike, sample_time: float, reach: int = 4) -> Correlations:
     """Correlations found in a record of measurement errors (m), up to a lag of `reach` samples."""
-    error = require_array("error", error, ndim=1)
-    require_count("reach", reach, at_least=0)
-    if len(error) < reach + 3:
-        raise InputError(
-            f"error holds {pluralise(len(error), 'sample')}; lags up to {reach} take {reach + 3} at least"
-        )
     quotient = difference_quotient(error, sample_time)
-    if np.ptp(quotient) == 0:
-        raise InputError("error is a straight line; correlations are of what differs from sample to sample")
     position = error[1:] - error[1:].mean()
     centred = quotient - quotient.mean()
     lags = np.arange(-reach, reach + 1)

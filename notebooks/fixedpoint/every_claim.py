@@ -1,6 +1,6 @@
 """The statements as a table and a map: what this notebook alone needs."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy import special
@@ -288,17 +288,7 @@ def rankings(small: list[dict[str, Study]], large: list[dict[str, Study]]) -> di
     }
 
 
-@dataclass(frozen=True)
-class StatementTable:
-    """Fraction of runs that obey each statement, a row per case and statement; prints as text."""
-
-    rows: tuple[tuple[str, str, str, str], ...]
-
-    def __repr__(self) -> str:
-        return "\n".join("{:16s} {:27s} {:22s} {:22s}".format(*row).rstrip() for row in self.rows)
-
-
-def table(studies: dict[str, dict[str, Study]], corrected: str, printed: str) -> StatementTable:
+def table(studies: dict[str, dict[str, Study]], corrected: str, printed: str) -> list[str]:
     """All statements in all cases, for both forms of the Kalman filter, with Wilson's 95 % intervals.
 
     Runs that repeat one another, as those without noise do, are one run: they get no interval.
@@ -313,7 +303,7 @@ def table(studies: dict[str, dict[str, Study]], corrected: str, printed: str) ->
                 share, (low, high) = fraction(obeyed[name])
                 cells.append(f"{share:.2f}" if repeated else f"{share:.2f} ({low:.2f} .. {high:.2f})")
             rows.append((case, name, *cells))
-    return StatementTable(tuple(rows))
+    return ["{:16s} {:27s} {:22s} {:22s}".format(*row).rstrip() for row in rows]
 
 
 def longest_replaced(gaps: list[float], studies: list[dict[str, Study]], kalman: str) -> float:
@@ -334,7 +324,7 @@ def appendix(page, *, studies: dict[str, dict[str, Study]]) -> None:
     page.text("""## The rankings, case by case
 
 Share of records in which each statement holds, with Wilson's 95 % interval.""")
-    page.show(table(studies, KALMAN, LITERAL))
+    page.show(*table(studies, KALMAN, LITERAL))
     page.text("By another measure of noisy, the RMS change of the error of $\\dot q$ in a sample:")
     noisiest = {}
     for case, study in studies.items():

@@ -28,6 +28,7 @@ from experiments.fixedpoint.published import (
     WINDOW,
     published_controllers,
 )
+from experiments.fixedpoint.search import run_simplex, sobol_points
 from stillwork.base.checks import InputError, require_choice, require_count
 from stillwork.control.fixed_point import Controller, simulate
 from stillwork.control.fixed_point_linear import linear_loop
@@ -72,22 +73,6 @@ def paint_tuned_errors(studies: dict[str, dict[str, Study]]):
             axes.set(xlabel=METRICS[quantity][0], title=case if first else "")
             axes.set_yticks(range(len(study)), map(called, study) if first else [""] * len(study))
             axes.set(ylim=(len(study) - 0.5, -0.5), xlim=(0, 1.06 * axes.get_xlim()[1]))
-    return figure
-
-
-def paint_cost_against_error(cost_ns: dict[str, float], errors: dict[str, float], unit: str):
-    """What a filter costs against what it gives."""
-    figure, axes = figures.new(1, height=3.2)
-    for name, error in errors.items():
-        axes.plot(cost_ns[name], error, "o", color=COLOURS[name], label=called(name))
-        below = -13 if name == EXTENDED else 4  # its neighbour is close
-        axes.annotate(
-            called(name), (cost_ns[name], error), xytext=(6, below), textcoords="offset points", fontsize=8
-        )
-    axes.set(xscale="log", xlabel="measured time per sample, printed settings (ns)", ylabel=unit)
-    axes.set(xlim=(0.7 * min(cost_ns.values()), 3 * max(cost_ns.values())))  # the names stand to the right
-    axes.set_ylim(0, 1.15 * max(errors.values()))
-    log_axis(axes.xaxis)
     return figure
 
 
@@ -205,9 +190,6 @@ def tune(
     of knobs and run once for all criteria; the simplexes share the rest. What is made small is the mean of a criterion,
     a quantity of `metrics.judge`, over the noise records of one seed; test on another one.
     """
-    from scipy.optimize import minimize
-    from scipy.stats import qmc
-
     require_count("budget", budget, at_least=8)
     require_count("runs", runs)
     for criterion in criteria:
@@ -236,8 +218,7 @@ def tune(
                 break
         return dict(zip(criteria, (total / runs).tolist(), strict=True))
 
-    sobol = qmc.Sobol(len(low), rng=np.random.default_rng(seed)).random_base2(int(np.log2(budget / 2)))
-    points = np.clip(low + sobol * (high - low), low, high)
+    points = sobol_points(low, high, budget, seed)
     seen = [means(point) for point in points]
 
     def best_by(criterion) -> Tuned:
@@ -250,11 +231,7 @@ def tune(
 
         starts = [knobs for _, knobs in sorted(tried, key=lambda t: t[0])[:STARTS]]
         for number, start in enumerate(starts):
-            left = (budget - len(tried)) // (len(starts) - number)
-            steps = 0.1 * (high - low) * np.where(start + 0.1 * (high - low) > high, -1.0, 1.0)
-            simplex = np.vstack([start, start + np.diag(steps)])
-            options = {"initial_simplex": simplex, "maxfev": left, "xatol": 1e-12, "fatol": 0.0}
-            minimize(cost, start, method="Nelder-Mead", options=options)
+            run_simplex(cost, start, low, high, 0.1, (budget - len(tried)) // (len(starts) - number))
         best, knobs = min(tried, key=lambda t: t[0])
         if np.isinf(best):
             raise InputError(f"{family.name}: every one of {len(tried)} settings diverged; widen the ranges")
@@ -526,41 +503,26 @@ def prediction_trial(
 # --- Notebook 07 ----------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Setup:
-    """Motions, noises and efforts of the notebook."""
+def run_searches(
+    training: Trajectory, gaussian: Noise, encoder: Noise, seeds: Sequence[int], **effort: int
+) -> tuple[dict[str, tuple[Tuned, ...]], list[dict[str, Controller]]]:
+    """By filter: tuned for q' and for q in Gaussian noise, for q' on the encoder; and for q' once for each seed.
 
-    training: Trajectory
-    trajectory: Trajectory
-    gaussian: Noise
-    encoder: Noise
-    budget: int
-    training_runs: int
-    seeds: list[int]  # of training noise and search; the first gives the filters of the page
-    runs: int  # fresh records
-    seed: int
+    On Table I's plant; `effort` is `budget` and `runs` of `tune`. The first seed gives the filters of the page.
+    """
+    exact, approximate = (model.plant for model in load_oscillator().values())
 
-    def search(self, family: Family, noise: Noise, seed: int, **how) -> list[Tuned]:
-        """`tune` on Table I's plant."""
-        exact, approximate = (model.plant for model in load_oscillator().values())
-        effort = {"budget": self.budget, "runs": self.training_runs, "seed": seed}
-        return tune(family, exact, approximate, self.training, noise, **effort, **how)
+    def search(family: Family, noise: Noise, seed: int, **how) -> list[Tuned]:
+        return tune(family, exact, approximate, training, noise, seed=seed, **effort, **how)
 
-
-def run_searches(setup: Setup) -> tuple[dict[str, tuple[Tuned, ...]], list[dict[str, Controller]]]:
-    """By filter: tuned for q' and for q in Gaussian noise, for q' on the encoder; and for q' once for each seed."""
-    both = ("velocity", "position")
-    first, *others = setup.seeds
+    both, (first, *others) = ("velocity", "position"), seeds
     searched = {
-        name: (
-            *setup.search(family, setup.gaussian, first, criteria=both),
-            *setup.search(family, setup.encoder, first),
-        )
+        name: (*search(family, gaussian, first, criteria=both), *search(family, encoder, first))
         for name, family in families().items()
     }
     searches = [{name: each[0].controller for name, each in searched.items()}]
     for seed in others:
-        again = {name: setup.search(family, setup.gaussian, seed)[0] for name, family in families().items()}
+        again = {name: search(family, gaussian, seed)[0] for name, family in families().items()}
         searches.append({name: found.controller for name, found in again.items()})
     return searched, searches
 
@@ -589,7 +551,9 @@ def scaled_covariances(model: Plant, factors: Sequence[float] | np.ndarray) -> d
 def appendix(
     page,
     *,
-    setup: Setup,
+    trajectory: Trajectory,
+    noise: Noise,
+    seed: int,
     studies: dict[str, dict[str, Study]],
     settings: dict[str, Study],
 ) -> None:
@@ -598,35 +562,34 @@ def appendix(
     Parameters
     ----------
     page : workbook.appendix.Appendix
-    setup : Setup
+    trajectory : Trajectory
+    noise : Noise
+    seed : int
+        Of fresh records.
     studies : dict
         By case: the errors on fresh noise.
     settings : dict of Study
         Of `exchanged_settings`.
     """
-    _of_covariances(page, settings, setup)
-    _of_sigma_points(page, setup)
+    _of_covariances(page, settings, trajectory, noise, seed)
+    _of_sigma_points(page, trajectory.sample_time, noise, seed)
     _of_cost(page, studies["Gaussian noise, tuned for q'"])
 
 
 FACTORS = (1.0, 1e-1, 1e-2, 1e-3, 1e-9)  # of Q and R; the last stands for none, which no filter can have
 
 
-def _of_covariances(page, settings: dict[str, Study], setup: Setup) -> None:
+def _of_covariances(
+    page, settings: dict[str, Study], trajectory: Trajectory, noise: Noise, seed: int
+) -> None:
     page.text("""## Q and R
 
 The paper requires that $Q$ and $R$ be "experimentally set [to] achieve the best behavior of the Kalman filter", and names a
 recommendation of the literature: "small (not zero) values". Its $\\Lambda$ and (8), with the $Q$ and $R$ of the searches, then with
 fractions of the printed ones; $10^{-9}$ stands for zero:""")
     exact, approximate = (model.plant for model in load_oscillator().values())
-    fractions = compare(
-        exact,
-        scaled_covariances(approximate, FACTORS),
-        setup.trajectory,
-        setup.gaussian,
-        runs=8,
-        seed=setup.seed,
-    )
+    scaled = scaled_covariances(approximate, FACTORS)
+    fractions = compare(exact, scaled, trajectory, noise, runs=8, seed=seed)
     for name, judged in {**settings, **fractions}.items():
         q, speed = (1e3 * judged[quantity].mean() for quantity in ("position", "velocity"))
         page.show(f"{name:16s} q' {speed:.2f} mm/s, q {q:.4f} mm")
@@ -646,7 +609,7 @@ fractions of the printed ones; $10^{-9}$ stands for zero:""")
     )
 
 
-def _of_sigma_points(page, setup: Setup) -> None:
+def _of_sigma_points(page, sample_time: float, noise: Noise, seed: int) -> None:
     page.text("""## Sigma points or Jacobian?
 
 Section II.C says that sigma points give "a better approximation ... for the posterior mean and covariance" than Jacobians. We
@@ -655,15 +618,12 @@ the standard deviations that the filter computes. Sigma points predict the mean 
 less than a thousandth of the computed standard deviation (`mean-error`); the covariance is no better: Table II has
 $\\beta = 0.001$ where a Gaussian state needs 2.""")
     process, assumed = np.diag([0.1, 0.001]), np.diag([0.01, 0.001])  # Q and R (printed)
-    sample_time = setup.trajectory.sample_time
-    belief = steady_errors(
-        motion_at_rest(sample_time), process, assumed, setup.gaussian.amplitude, sample_time
-    )
+    belief = steady_errors(motion_at_rest(sample_time), process, assumed, noise.amplitude, sample_time)
     given = {
         "model": load_oscillator()["approximate"],
         "deviations": tuple(np.sqrt(np.diag(belief.computed)).tolist()),
     }
-    predicted = run_study(prediction_trial, 100, setup.seed, progress=False, **given)
+    predicted = run_study(prediction_trial, 100, seed, progress=False, **given)
     for kind in ("mean", "covariance"):
         better = predicted[f"unscented_{kind}"] < 0.999 * predicted[f"extended_{kind}"]
         page.check(f"fixedpoint.section-2c.unscented-{kind}", *fraction(better))
@@ -682,11 +642,10 @@ Compiled filters at their printed settings, timed by `benchmarks/fixedpoint.py -
         name: time["median_ns"] for name, time in measured_times("fixedpoint", "filter_times.csv").items()
     }
     for name in study:
+        error = 1e3 * study[name]["velocity"].mean()
         page.show(
-            f"{called(name):22s} {cost[name]:.0f} ns a sample, {cost[name] / cost[LOW_PASS]:.0f} times the low pass"
+            f"{called(name):22s} {cost[name]:.0f} ns a sample, {cost[name] / cost[LOW_PASS]:.0f} times the low pass, error {error:.1f} mm/s"
         )
-    errors = {name: 1e3 * study[name]["velocity"].mean() for name in study}
-    page.save("cost", paint_cost_against_error(cost, errors, "RMS error of q', Gaussian noise (mm/s)"))
     page.check(
         "fixedpoint.section-4.low-pass-cheapest", float(cost[LOW_PASS] < min(cost[WINDOW], cost[KALMAN]))
     )

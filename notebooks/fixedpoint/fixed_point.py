@@ -6,12 +6,14 @@ from dataclasses import replace
 import numpy as np
 
 from experiments.fixedpoint.axes import COLOURS, legend_above
-from experiments.fixedpoint.convergence_study import at_rest
+from experiments.fixedpoint.convergence_study import at_rest, remaining_motion
 from experiments.fixedpoint.oscillator import load_oscillator, restoring_force
 from experiments.fixedpoint.published import (
     INTEGRATION,
+    KALMAN,
     LITERAL,
     LOW_PASS,
+    WINDOW,
     published_controllers,
 )
 from stillwork.control.fixed_point import Controller, simulate
@@ -47,13 +49,31 @@ def cycles_over_gain(
         transformation = FlowTransformation(-strength, width)
         stable = [cycle for cycle in limit_cycles(loop, transformation) if cycle.stable]
         predicted.append((stable[0].frequency_hz, stable[0].iteration_error) if stable else (np.nan, np.nan))
-        moved = replace(controller, transformation=transformation)
-        still = at_rest(round(8 / sample_time), sample_time)
-        run = simulate(plant, moved, still, start=(0.0, 1e-3), integration=INTEGRATION)
-        tail = slice(round(4 / sample_time), None)
-        found = strongest_oscillation(run.acceleration_estimate[tail] - run.desired[tail], sample_time)
+        found = simulated_cycle(plant, replace(controller, transformation=transformation), sample_time)
         simulated.append((found.frequency_hz, found.amplitude))
     return predicted, simulated
+
+
+def simulated_cycle(plant: Plant, controller: Controller, sample_time: float):
+    """The strongest oscillation of response less desired, four to eight seconds after a kick at rest."""
+    still = at_rest(round(8 / sample_time), sample_time)
+    run = simulate(plant, controller, still, start=(0.0, 1e-3), integration=INTEGRATION)
+    tail = slice(round(4 / sample_time), None)
+    return strongest_oscillation(run.acceleration_estimate[tail] - run.desired[tail], sample_time)
+
+
+def after_a_kick(
+    plant: Plant, controllers: dict[str, Controller], transformation: Transformation, sample_time: float
+) -> tuple[list[str], list[str]]:
+    """With which of the paper's filters a kick at rest grows or stays under a transformation, and with which it dies."""
+    left = {
+        name: remaining_motion(
+            plant, replace(controllers[name], transformation=transformation), 1e-3, sample_time
+        )
+        for name in (WINDOW, LOW_PASS, KALMAN)
+    }
+    kept = [f"the {name}" for name, share in left.items() if share > 1]
+    return kept, [f"the {name}" for name, share in left.items() if not share > 1]
 
 
 SMALL = {"textcoords": "offset points", "fontsize": 7}  # words beside a mark

@@ -2,7 +2,7 @@
 
 import importlib
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -418,6 +418,45 @@ def largest_radii(
         )
         for name, controller in chosen.items()
     }
+
+
+def table_of(
+    models: Models,
+    chosen: Mapping[str, list[Controller]],
+    trajectories: list[Trajectory],
+    contraction: Contraction,
+):
+    """A row a filter: its gains, where iteration and loop allow them, and whether the loop is stable all the way."""
+    from pandas import DataFrame
+
+    ranges, radii = (each(models, chosen, trajectories) for each in (stable_ranges, largest_radii))
+    rows = {}
+    for name, controller in chosen.items():
+        gains = local_gains(controller)
+        rows[name] = {
+            "local gain": said(gains),
+            "contracts in": "({:.3g}, {:.3g})".format(*contraction.allowed(gains)),
+            "loop stable in": "({:.3g}, {:.3g})".format(*ranges[name].limits),
+            "largest radius": f"{radii[name]:.4f}",
+            "stable": bool(gains[0] in ranges[name] and radii[name] < 1),
+        }
+    return DataFrame.from_dict(rows, orient="index")
+
+
+def described(
+    runs: Mapping[str, list[ControlledRun]], units: tuple[str, ...], settle: float
+) -> Iterator[str]:
+    """What each filter leaves, coordinate by coordinate."""
+    for name, each in runs.items():
+        if each[0].diverged_at is not None:
+            yield f"{name}: diverges at {each[0].diverged_at:.2f} s, {each[0].cause}"
+            continue
+        for number, (run, unit) in enumerate(zip(each, units, strict=True)):
+            errors, q = judge(run, settle), symbol(number, units)
+            yield (
+                f"{name}: RMS error of {q} {1e3 * errors['position']:.3g} m{unit}, of {q}' {1e3 * errors['velocity']:.3g} m{unit}/s, "
+                f"change of {q}'' per sample {errors['roughness']:.3g} {unit}/s², largest |u| {np.abs(run.force).max():.3g} {UNITS[unit]}"
+            )
 
 
 def drive(
