@@ -158,6 +158,18 @@ def resting(period: np.ndarray) -> np.ndarray:
     return ~moves[::10]
 
 
+def moving_table(errors: dict[str, np.ndarray], rest: np.ndarray):
+    """A row a method: rms error at rest and largest error in µm, and what the pump adds in nm."""
+    from pandas import DataFrame
+
+    rows = {
+        name: (1e6 * (scan[rest] ** 2).mean() ** 0.5, 1e6 * abs(scan).max(), 1e9 * pump.std())
+        for name, (scan, pump) in errors.items()
+    }
+    columns = ["at rest (µm)", "at most (µm)", "pump (nm)"]
+    return DataFrame.from_dict(rows, orient="index", columns=columns)
+
+
 def moving_statements(errors: dict[str, np.ndarray], rest: np.ndarray) -> dict[str, float]:
     """What the setpoint leaves, by the ledger's names."""
     left = {name: float(np.sqrt(np.mean(one[0, rest] ** 2))) for name, one in errors.items()}

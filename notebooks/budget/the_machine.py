@@ -5,15 +5,14 @@ from itertools import product
 import numpy as np
 from scipy import linalg
 
-from experiments.budget.machine import BAND_HZ, FLOORS, budget_of, floor, machine, parameters
-from stillwork.base.toml_files import read_toml
-from stillwork.control.budget_sources import criterion_floor, shaped, white
+from experiments.budget.machine import BAND_HZ, FLOORS, floor, machine, parameters
+from stillwork.control.budget_sources import shaped, white
 from stillwork.control.error_budget import Network, Source, error_budget
-from stillwork.control.floor_machine import FloorMachine, weak_integrator
+from stillwork.control.floor_machine import FloorMachine
 from stillwork.control.pid import PidFamily
 from stillwork.lti.modal import ModalModel
-from stillwork.lti.state_space import StateModel, constant, interconnect
-from workbook import figures, paths
+from stillwork.lti.state_space import StateModel, constant
+from workbook import figures
 
 CASES = {
     "passive": (False, False),
@@ -64,6 +63,16 @@ def estimate_again() -> dict[str, list[tuple[float, float]]]:
         powers = error_budget(built.network(), sources, BAND_HZ).powers[:, 0]
         found.setdefault(f"{hertz:g}", []).append(tuple(1e9 * np.sqrt(powers)))
     return found
+
+
+def beside_the_estimate(found: dict[str, list[tuple[float, float]]]) -> dict[str, dict[str, float]]:
+    """A row a case: both parts of the budget, nm rms, and those of the first estimate."""
+    p, rows = parameters().table("estimate"), {}
+    for hertz, powers in found.items():
+        for k, (case, (floor_nm, sensor_nm)) in enumerate(zip(CASES, powers, strict=True)):
+            theirs = {f"{part}, estimate": p[f"{part}_{hertz}"][k] for part in ("floor", "sensor")}
+            rows[f"{hertz} Hz, {case}"] = {"floor": floor_nm, "sensor": sensor_nm} | theirs
+    return rows
 
 
 def largest_ratios(found: dict[str, list[tuple[float, float]]]) -> dict[str, float]:
@@ -123,108 +132,3 @@ def printed_specification() -> dict[str, float]:
         ).rms[0]
         for name, level in levels.items()
     }
-
-
-# === Six axes =====================================================================================================
-
-AXES = ("floor x", "floor y", "floor z")
-
-
-def struts() -> tuple[np.ndarray, np.ndarray]:
-    """Ends of the six struts from the frame's centre of mass (m), and their directions, (6, 3) each."""
-    p, lines = (
-        parameters().table("six_axes"),
-        read_toml(paths.data("isolation", "rigid_body.toml")).table("struts"),
-    )
-    ends, directions = np.array(lines["positions"]), np.array(lines["directions"])
-    ends = ends * p["radius"] / np.linalg.norm(ends[0])
-    ends[:, 2] = -p["height"]
-    return ends, -directions
-
-
-def six_axis_network(skyhook: bool, feedforward: bool, offset: float) -> Network:
-    """The frame as a body on six struts, the stage `offset` m beside its centre of mass along x, all laws strut by strut.
-
-    In motions relative to the floor, whose accelerations along x, y and z push the body. Each strut has the skyhook and the
-    feedforward of the machine with one axis; the stage moves along z.
-    """
-    own, six = machine(skyhook=skyhook, feedforward=feedforward), parameters().table("six_axes")
-    k, d, critical = (each / np.sum(struts()[1][:, 2] ** 2) for each in own.suspension)
-    ends, along = struts()
-    jacobian = np.hstack([along, np.cross(ends, along)])
-    gyration = np.square(six["gyration"])
-    beside = np.array(
-        [0.0, 0.0, 1.0, 0.0, -offset, 0.0]
-    )  # of the frame's motion, what the stage above sees along z
-    heavy = own.frame_mass + own.stage_mass * np.array([1.0, 1, 0, 0, 0, 0])  # the stage goes along sideways
-    inverse = np.diag(1 / (heavy * np.append(np.ones(3), gyration)))
-    stage_model = own.stage.state_space()
-    n = len(stage_model.a)
-    a = np.zeros((12 + n, 12 + n))
-    a[:6, 6:12], a[12:, 12:] = np.eye(6), stage_model.a
-    a[6:12, :6] = -inverse @ jacobian.T @ jacobian * k
-    a[6:12, 6:12] = -inverse @ jacobian.T @ jacobian * d
-    b = np.zeros((12 + n, 3 + 7))  # floor along three axes; the stage's drive and six struts
-    b[6:9, :3] = -np.eye(3)
-    b[6:12, 3], b[6:12, 4:] = -inverse @ beside, inverse @ jacobian.T
-    b[12:, 3] = stage_model.b[:, 0]
-    b[13, 2] = -1 / stage_model.c[0, 0]
-    apart = np.concatenate([-beside, np.zeros(6), stage_model.c[0]])
-    absolute = a[6:12].copy(), b[6:12] + np.eye(6, 10) * np.array([1.0] * 3 + [0.0] * 3)[:, None]
-    c = np.vstack([apart, apart, jacobian @ absolute[0], np.zeros((3, 12 + n))])
-    through = np.vstack([np.zeros((2, 10)), jacobian @ absolute[1], np.eye(3, 10)])
-    through[:2, 3] = stage_model.d[0, 0]
-    names = [f"strut {place + 1}" for place in range(6)]
-    return Network(
-        StateModel(a, b, c, through),
-        _strut_laws(own, along, (k, d, critical)),
-        dict.fromkeys(AXES, "m/s^2"),
-        {"stage drive": "N"} | dict.fromkeys(names, "N"),
-        {"stage to frame": "m"},
-        {"stage sensor": "m"}
-        | {f"{name}'s sensor": "m/s^2" for name in names}
-        | {f"sensor of {axis}": "m/s^2" for axis in AXES},
-    )
-
-
-def _strut_laws(own: FloorMachine, along: np.ndarray, numbers: tuple[float, float, float]) -> StateModel:
-    """From the stage's sensor, six struts' and three of the floor to the stage's drive and the six struts."""
-    k, d, critical = numbers
-    sky, one = 2 * np.pi * own.skyhook_hz, np.ones((1, 1))
-    stage_law = own.controller.state_space()
-    laws = [StateModel(stage_law.a, stage_law.b, -stage_law.c, -stage_law.d)]
-    laws += [StateModel(-sky * one, one, -own.skyhook * critical * one, 0 * one)] * 6
-    laws += [
-        weak_integrator(own.integrator_hz, own.integrator_order)
-    ] * 6  # of each axis once, then of these once more
-    feedback = np.eye(13, 13, k=-3) * (np.arange(13) >= 10)[:, None]
-    outputs = np.zeros((7, 13))
-    outputs[:7, :7] = np.eye(7)
-    outputs[1:, 7:10], outputs[1:, 10:] = -own.feedforward * d * along, -own.feedforward * k * along
-    return interconnect(laws, feedback, np.eye(13, 10), outputs)
-
-
-def six_over_one(criterion: str, offset: float, skyhook: bool = True, feedforward: bool = True) -> float:
-    """Error with six axes over that with one, where the floor just meets a criterion along x, y and z."""
-    p = parameters().table("noise")
-    network = six_axis_network(skyhook, feedforward, offset)
-    floors = [criterion_floor(axis, axis, criterion) for axis in AXES]
-    others = [
-        white("stage sensor", "stage sensor", "m", p["sensor"]),
-        white("stage drive", "stage drive", "N", p["drive"]),
-        *(white(f"{k + 1}", f"strut {k + 1}'s sensor", "m/s^2", p["frame_sensor"]) for k in range(6)),
-        *(white(f"its {axis}", f"sensor of {axis}", "m/s^2", p["floor_sensor"]) for axis in AXES),
-    ]
-    alone = budget_of(machine(skyhook=skyhook, feedforward=feedforward), criterion).rms[0]
-    return float(error_budget(network, [*floors, *others], BAND_HZ).rms[0] / alone)
-
-
-def paint_six_axes(offsets: np.ndarray):
-    """Error with six axes over that with one, by how far the stage is beside the centre of mass."""
-    figure, axes = figures.new(height=2.6)
-    for name, (skyhook, feedforward) in CASES.items():
-        ratios = [six_over_one("VC-B", offset, skyhook, feedforward) for offset in offsets]
-        axes.plot(1e3 * offsets, ratios, "o-", markersize=3, linewidth=0.9, label=name)
-    axes.set(xlabel="stage beside the centre of mass (mm)", ylabel="error with six axes\nover that with one")
-    axes.legend()
-    return figure

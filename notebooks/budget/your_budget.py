@@ -9,7 +9,7 @@ from experiments.budget.waterfall import paint_waterfall
 from stillwork.control.budget_sources import criterion_floor
 from stillwork.control.error_budget import ErrorBudget, UnstableLoop, error_budget
 from stillwork.control.pid import Pid, PidFamily
-from stillwork.machine.budget import MachineFile, open_machine
+from stillwork.machine.budget import MachineFile, nanometres, open_machine
 from stillwork.machine.isolate import isolate_file
 from stillwork.machine.machine_toml import new_budget, new_isolator
 from workbook import figures, paths
@@ -21,6 +21,20 @@ def open_own(file: str, floor: str) -> MachineFile:
         if not file:
             new_budget(folder)
         return open_machine(file or f"{folder}/wafer-stage.toml", floor)  # the template names no other file
+
+
+def sources_table(budget: ErrorBudget):
+    """A row a source: its rms and its share of the power."""
+    from pandas import DataFrame
+
+    rows = {
+        name: (nanometres(rms), f"{share:.1%}")
+        for name, rms, share in zip(
+            budget.names, budget.rms_by_source[:, 0], budget.shares[:, 0], strict=True
+        )
+    }
+    rows["all"] = nanometres(budget.rms[0]), ""
+    return DataFrame.from_dict(rows, orient="index", columns=["rms", "of the power"])
 
 
 def chain(rate: float = 2000.0) -> dict[str, ErrorBudget]:

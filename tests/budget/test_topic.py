@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from experiments.budget.machine import FLOORS, budget_of, machine, on_every_floor, parameters, stage
+from experiments.budget.machine import FLOORS, budget_of, machine, on_every_floor, stage
 from notebooks.budget import the_machine, which_one_pays
 from notebooks.budget.which_one_pays import (
     CHOICES,
@@ -88,35 +88,3 @@ def test_the_printed_specification_and_the_estimate():
     assert (round(found["Dx"], 1), round(found["Rx"], 1)) == (12.1, 241.8)
     again = the_machine.estimate_again()
     assert again["37"][1][0] == pytest.approx(again["37"][0][0] / 10**1.5, rel=0.02)  # 30 dB
-
-
-@pytest.mark.parametrize("offset", [0.0, 0.12])
-def test_six_axes_are_what_the_equations_of_motion_give(offset):
-    """Passive, by dynamic stiffness at each frequency: six equations of the body, one of the stage, one of its PID."""
-    network = the_machine.six_axis_network(False, False, offset)
-    built, (ends, along) = machine(), the_machine.struts()
-    p = parameters().table("six_axes")
-    vertical = np.sum(along[:, 2] ** 2)
-    k, d, _ = np.array(built.suspension) / vertical
-    lines = np.hstack([along, np.cross(ends, along)])
-    m, own = built.frame_mass, built.stage_mass
-    masses = np.diag([m + own, m + own, m, *(m * np.square(p["gyration"]))])
-    beside = np.array([0, 0, 1, 0, -offset, 0])
-    for hertz in (0.7, 5.0, 14.0, 40.0):
-        w = 2 * np.pi * hertz
-        stiffness = lines.T @ lines * (k + 1j * w * d) - w**2 * masses
-        compliance = built.stage.frequency_response([w])[0, 0, 0]
-        pid = built.controller.frequency_response(np.array([w]))[0]
-        for axis in range(3):
-            push = (
-                -np.diag(masses)[:3][axis] * np.eye(6)[axis]
-            )  # of 1 m/s^2, in motions relative to the floor
-            # unknown: motion of the body q, position of the stage x, force on it f
-            a = np.zeros((8, 8), complex)
-            a[:6, :6], a[:6, 7] = stiffness, beside
-            a[6, 6], a[6, 7] = 1, -compliance
-            a[7, :6], a[7, 6], a[7, 7] = -pid * beside, pid, 1
-            x = np.linalg.solve(a, np.concatenate([push, [1 / w**2 * (axis == 2), 0]]))
-            wanted = x[6] - beside @ x[:6]
-            found = network.paths([hertz])[0, axis, 0]
-            assert abs(found - wanted) < 1e-6 * max(abs(wanted), 1e-9)
