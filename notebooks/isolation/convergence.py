@@ -476,8 +476,8 @@ def starting(*, memory: float, floor_upper_end: float, seed: int) -> dict:
     return {"isolation.convergence.start": fraction(np.array([run.broke_s is None for run in runs]))}
 
 
-def far_starts(seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """From each of `FAR` times the steady P of 20 s: share of eight runs of `FAR_S` that go on, and settling time, s.
+def far_starts(multiples: Sequence[float], seed: int, runs: int = TOGETHER) -> tuple[np.ndarray, np.ndarray]:
+    """From multiples of the steady P of 20 s: share of runs of `FAR_S` that go on, and settling time, s.
 
     The time is the geometric mean over w4 to w9 and these runs; NaN where one does not go on.
     """
@@ -485,7 +485,7 @@ def far_starts(seed: int) -> tuple[np.ndarray, np.ndarray]:
     steady = steady_state(twin, floor)
     common = {"trace": "regressors", "step_size": STEP_SIZE, "memory_s": EQUAL_MEMORY_S}
     goes_on, settled = [], []
-    for multiple in FAR:
+    for multiple in multiples:
         start = printed_algorithms(
             steady, **common, initial_covariance=multiple, sample_time=twin.sample_time
         )
