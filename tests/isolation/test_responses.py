@@ -102,13 +102,12 @@ def test_fitted_twin_responds_as_the_published_path():
     assert np.abs(found.secondary[:, 0, 1:]).max() < 1e-12
 
 
-def test_the_full_estimate_follows_the_modes_and_the_diagonal_one_does_not():
+def test_the_diagonal_estimate_does_not_follow_the_modes():
     f = np.geomspace(1, 300, 200)
 
     def least(twin):
         error = responses(twin, f).path_error
         return np.linalg.eigvalsh((error + np.conj(error.transpose(0, 2, 1))) / 2)[:, 0]
 
-    assert least(TWINS["rigid"].varied(estimate="full")).min() > 0.8
     negative = f[least(TWINS["rigid"]) < 0]
     assert 17 < negative.min() and negative.max() < 29

@@ -23,7 +23,7 @@ def band_floor(low_hz, high_hz):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("twin", [RIGID, FITTED, RIGID.varied(estimate="full")])
+@pytest.mark.parametrize("twin", [RIGID, FITTED])
 @pytest.mark.parametrize("low_pass_hz", [80.0, 1500.0])
 def test_grid_is_fine_enough(twin, low_pass_hz):
     floor = flat_floor(low_pass_hz)
@@ -53,7 +53,7 @@ def test_a_perfect_estimate_without_delay_converges_like_one():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("twin", [RIGID, FITTED, RIGID.varied(estimate="full")])
+@pytest.mark.parametrize("twin", [RIGID, FITTED])
 def test_simulated_moments_agree(twin):
     floor = flat_floor(80.0)
     twin = twin.varied(**QUIET)
@@ -106,8 +106,6 @@ def test_growth_of_a_horizontal_error_is_predicted(floor, stable):
     size = np.sqrt(np.einsum("ki,ij,kj->k", off, steady.correlation, off))
     rate = 10 * np.polyfit(run.time_s[500:], np.log(size[500:]), 1)[0]
     assert rate == pytest.approx(-slowest, rel=0.15)
-    full = steady_state(RIGID.varied(estimate="full"), floor, noise=False)
-    assert full.rls_eigenvalues.real.min() > 0.8
 
 
 def test_a_silent_floor_is_refused():

@@ -63,7 +63,6 @@ def test_actuators_and_sensors_may_sit_elsewhere_than_the_struts():
         ("instruments.parasitic_hz", 3000.0, r"\bparasitic_hz\b"),
         ("instruments.mains_hz", [50.0], r"\bfloor_mains\b"),
         ("skyhook", 225.0, r"^skyhook\b"),
-        ("feedforward.estimate", "ful", r"\bestimate\b"),
         ("feedforward.shaping.highpass_hz", 400.0, r"\blowpass_hz\b"),
         ("feedforward.path.actuator_pole_hz", None, r"^feedforward\.path: 'actuator_pole_hz'"),
         ("plnt", {}, "^model:.*'plnt'"),

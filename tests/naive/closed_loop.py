@@ -54,7 +54,7 @@ def run(twin, floor, noise, *, feedback=True, weights=None, felms=None, ferls=No
     # psi_N by filtering all regressors with N, as eq. (30) says, not N a0 with the integrators.
     integrators = [Cascade(twin.integrator, sensors) for _ in range(powers)]
     shaping = Cascade(twin.noise_shaping, twin.regressors)
-    axes = [Cascade(sections, 1) for sections in twin.error_filter.sections]
+    axes = [Cascade(twin.error_filter, 1) for _ in range(twin.outputs)]
     w = np.zeros((twin.actuators, twin.regressors)) if weights is None else np.array(weights)
     p = None if ferls is None else np.array(ferls[0])
     command = np.zeros(twin.actuators)
@@ -73,8 +73,7 @@ def run(twin, floor, noise, *, feedback=True, weights=None, felms=None, ferls=No
             parts.append(each(parts[-1]))
         psi = np.concatenate(parts)
         psi_n = shaping(psi)
-        mixed = twin.error_filter.before @ measured
-        error = twin.error_filter.after @ np.array([f([x])[0] for f, x in zip(axes, mixed, strict=True)])
+        error = np.array([f([x])[0] for f, x in zip(axes, measured, strict=True)])
         command = w @ psi - feedback * skyhook(measured)
         history["command"].append(command)
         kept = error

@@ -14,7 +14,7 @@ A run in four lines::
 The four cases of the paper are ``simulate(..., feedback=False)``, ``simulate(...)``,
 ``simulate(..., weights=W)`` and ``simulate(..., adaptation=FeLms() or FeRls(...))``; ``signals_from_s=20.0``
 keeps a0, a1, u, psi_N and e at the full rate from there on; ``[(100.0, flat), (100.0, coloured)]`` in place of
-the floor changes it in mid-run; ``twin.varied(platform_noise=1e-5, estimate="full")`` is another twin.
+the floor changes it in mid-run; ``twin.varied(platform_noise=1e-5)`` is another twin.
 """
 
 from stillwork.base.lazy_exports import lazy_exports

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from experiments.isolation.twin import Twin
-from stillwork.base.algebra import plus_row, set_product
+from stillwork.base.algebra import plus_row
 from stillwork.base.checks import InputError
 from stillwork.base.kernels import borrowing_kernel, pasted_kernel
 from stillwork.estimation.adaptive import Recursion, felms_update, ferls_step
@@ -57,7 +57,6 @@ class Rows(NamedTuple):
     resonance: np.ndarray  # (runs, actuators)
     damping: np.ndarray  # (runs, outputs)
     error: np.ndarray  # (runs, outputs)
-    axes: np.ndarray  # (runs, axes)
     direct: np.ndarray  # (runs, sensors): the floor through the integrators
     band: np.ndarray  # (runs, sensors): the same of the shaped floor
     regressor: np.ndarray  # (runs, regressors), psi
@@ -74,7 +73,6 @@ class Channels(NamedTuple):
     resonance: np.ndarray
     damping: np.ndarray
     error: np.ndarray
-    axes: np.ndarray
     sent: np.ndarray
     shaped: np.ndarray  # the floor through N
     both: np.ndarray  # `direct` of all runs, then `band`
@@ -95,9 +93,6 @@ class ClosedLoop(NamedTuple):
     shaping: Bank  # N on the floor sensors
     integrator: Bank  # beta H, power after power, on [a0, N a0]
     error: Bank  # N P2^-1
-    modes: np.ndarray  # (sections, 5, runs * axes), N P2^-1 of a full estimate; empty if diagonal
-    before: np.ndarray  # (axes, outputs)
-    after: np.ndarray  # (actuators, axes)
     weights: np.ndarray  # (runs, actuators, regressors), W
     recursion: Recursion  # of FeRLS; `matrix` and `levels` with a first axis of runs
     # Of the modified error, else empty: N on the feedforward's commands, and [psi_N, N[W psi]] of the last samples in turn
@@ -129,14 +124,11 @@ def loop_of(
     inputs, outputs = (padded(size) for size in matrix.shape)
     plant = aligned(inputs, outputs)
     plant[: len(matrix), : matrix.shape[1]] = matrix
-    filters = twin.error_filter
-    diagonal = twin.feedforward.estimate == "diagonal"
     skyhook = bank_of(twin.skyhook_filter, twin.outputs * runs)
     skyhook.sections[:] *= feedback
     recursion = recursion._replace(
         **{name: np.stack([getattr(recursion, name)] * runs) for name in ("matrix", "levels")}
     )
-    modes = np.zeros((0, 5, 0)) if diagonal else rows_of(np.moveaxis(filters.sections, 0, -1))
     integrator = np.tile(twin.integrator, (twin.feedforward.integrator_powers, 1))
     rows, channels = _memory(twin, runs, inputs, outputs, recursion.matrix.dtype)
     return ClosedLoop(
@@ -151,10 +143,7 @@ def loop_of(
         skyhook=skyhook,
         shaping=bank_of(twin.noise_shaping, twin.sensors * runs),
         integrator=bank_of(integrator, padded(2 * twin.sensors * runs)),
-        error=bank_of(filters.sections[0], padded(twin.outputs * runs)),
-        modes=np.tile(modes, runs),
-        before=np.ascontiguousarray(filters.before),
-        after=np.ascontiguousarray(filters.after),
+        error=bank_of(twin.error_filter, padded(twin.outputs * runs)),
         weights=weights.astype(recursion.matrix.dtype),
         recursion=recursion,
         sent=bank_of(twin.noise_shaping, padded(twin.actuators * runs)),
@@ -169,7 +158,7 @@ def loop_of(
 
 def _memory(twin: Twin, runs: int, inputs: int, outputs: int, precision) -> tuple[Rows, Channels]:
     a, o, n = twin.actuators, twin.outputs, twin.sensors
-    sizes = {"command": a, "resonance": a, "damping": o, "error": o, "axes": o, "sent": a}
+    sizes = {"command": a, "resonance": a, "damping": o, "error": o, "sent": a}
     wide = {name: aligned(padded(size * runs)) for name, size in sizes.items()}
     readings, both = aligned(runs * (o + n)), aligned(padded(2 * n * runs))
     rows = {name: wide[name][: runs * size].reshape(runs, size) for name, size in sizes.items()}
@@ -348,15 +337,8 @@ def _filter_error(loop):
     """Filtered error, eq. (16)."""
     rows, channels = loop.rows, loop.channels
     _copy(channels.readings, channels.damping)
-    if len(loop.modes) == 0:
-        _copy_rows(rows.readings, rows.error)
-        _filter(loop.error, channels.error)
-    else:
-        for run in range(len(rows.axes)):
-            set_product(loop.before, rows.readings[run], rows.axes[run])
-        _filter_each((loop.modes, loop.error.first, loop.error.second), channels.axes)
-        for run in range(len(rows.axes)):
-            set_product(loop.after, rows.axes[run], rows.error[run])
+    _copy_rows(rows.readings, rows.error)
+    _filter(loop.error, channels.error)
 
 
 @pasted_kernel

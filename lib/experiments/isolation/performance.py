@@ -160,13 +160,11 @@ def expected_density(
     *,
     weights: ArrayLike | None = None,
     feedback: bool = True,
-    sensed: bool = True,
 ) -> dict[str, Float64[np.ndarray, "3 frequencies"]]:
-    """Spectrum of the platform in z, θx, θy by cause, without simulation and without mains.
+    """Spectrum that the platform's sensors show in z, θx, θy by cause, without simulation and without mains.
 
     The causes are ``floor``, ``floor noise`` (n0 through the feedforward) and ``output noise`` (n1, also through the
-    skyhook loop), each (m/s^2)^2/Hz or (rad/s^2)^2/Hz; they are independent, so their sum is the spectrum. `sensed`
-    is what the platform's sensors show, otherwise how the platform really moves.
+    skyhook loop), each (m/s^2)^2/Hz or (rad/s^2)^2/Hz; they are independent, so their sum is the spectrum.
     """
     axes = central_axes(twin.rig)
     paths = responses(twin, frequencies_hz, feedback)
@@ -178,10 +176,6 @@ def expected_density(
     skyhook = feedback * signal.freqz_sos(twin.skyhook_filter, paths.frequencies_hz, fs=rate)[1]
     sensitivity = np.eye(twin.outputs) - paths.secondary * skyhook[:, None, None]
     by_output = axes.platform @ (sensitivity * paths.conditioning[:, None, None])
-    if not sensed:  # the reading is conditioner (motion + n1)
-        behind = paths.conditioning[:, None, None]
-        by_floor, by_sensors = by_floor / behind, by_sensors / behind
-        by_output = by_output / behind - axes.platform
     return {
         "floor": _power(by_floor, floor.density(paths.frequencies_hz).T),
         "floor noise": _power(by_sensors, twin.instruments.floor_noise**2),

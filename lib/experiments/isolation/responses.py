@@ -40,8 +40,7 @@ def responses(twin: Twin, frequencies_hz: ArrayLike, feedback: bool = True) -> R
         open_path, disturbance = np.linalg.solve(loop, open_path), np.linalg.solve(loop, disturbance)
     powers = integrator[:, None] ** np.arange(twin.feedforward.integrator_powers + 1)
     stack = (powers * conditioning[:, None])[:, :, None, None] * np.eye(twin.sensors)
-    filters = twin.error_filter
-    each = np.stack([_of_sections(sections, f, rate) for sections in filters.sections], axis=1)
+    inverse = _of_sections(twin.error_filter, f, rate)
     return Responses(
         frequencies_hz=f,
         primary=conditioning[:, None, None] * disturbance,
@@ -49,7 +48,7 @@ def responses(twin: Twin, frequencies_hz: ArrayLike, feedback: bool = True) -> R
         sensitivity=conditioning[:, None, None] * sensitivity,
         regressors=stack.reshape(len(f), twin.regressors, twin.sensors),
         shaping=shaping,
-        error=(filters.after * each[:, None, :]) @ filters.before,
+        error=inverse[:, None, None] * np.eye(twin.outputs),
         conditioning=conditioning,
     )
 

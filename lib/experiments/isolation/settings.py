@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
+from stillwork.base.checks import InputError, require_array, require_count, require_number
 from stillwork.control import isolation_filters as shaping
 from stillwork.control.isolation_filters import NoiseShaping, SecondaryPath
 from stillwork.lti.discretisation import tustin_sections
@@ -94,11 +94,9 @@ class SelfTunedFeedforward:
     beta: float  # 1/s: the weak integrator's normalisation
     shaping: NoiseShaping
     path: SecondaryPath  # eq. (2)
-    estimate: str = "diagonal"  # of the secondary path: eq. (2) on each axis, or "full": the model's modes
 
     def __post_init__(self):
         require_count("integrator_order", self.integrator_order)
         require_count("integrator_powers", self.integrator_powers, at_least=0)
         require_number("integrator_cutoff_hz", self.integrator_cutoff_hz, above=0.0)
         require_number("beta", self.beta, above=0.0)
-        require_choice("estimate", self.estimate, ("diagonal", "full"))

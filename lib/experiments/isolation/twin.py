@@ -5,8 +5,6 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float64
-from scipy import linalg
 
 from experiments.isolation.plant import Platform, plant_of_rig
 from experiments.isolation.rig import Lines, Rig, build, require_names, require_table, rig_from_table
@@ -19,15 +17,6 @@ from stillwork.control.isolation_filters import FrequencyNotch, NoiseShaping, Se
 from workbook import paths
 
 SHIPPED = ("rigid_body", "fitted")
-
-
-@dataclass(frozen=True)
-class ErrorFilter:
-    """``e = after · filters · before · a1``: the inverse secondary path with noise shaping."""
-
-    before: Float64[np.ndarray, "axes outputs"]
-    sections: Float64[np.ndarray, "axes sections 6"]
-    after: Float64[np.ndarray, "actuators axes"]
 
 
 @dataclass(frozen=True)
@@ -71,7 +60,7 @@ class Twin:
         return self.instruments.sample_time
 
     def varied(self, **changes) -> "Twin":
-        """Copy with other settings: ``twin.varied(platform_noise=1e-5, estimate="full", gain=0.0)``.
+        """Copy with other settings: ``twin.varied(platform_noise=1e-5, gain=0.0)``.
 
         Names are those of `Instruments`, `Skyhook` and `SelfTunedFeedforward`.
         """
@@ -107,34 +96,10 @@ class Twin:
         )
 
     @cached_property
-    def error_filter(self) -> ErrorFilter:
-        """N times the inverse of the estimated secondary path, diagonal (2) or full."""
+    def error_filter(self) -> np.ndarray:
+        """Sections of N times the inverse of the estimated secondary path (2), the same on each axis."""
         settings = self.feedforward
-        if settings.estimate == "diagonal":
-            each = shaping.inverse_secondary_shaping(settings.shaping, settings.path, self.sample_time)
-            direct = np.eye(self.outputs)
-            return ErrorFilter(direct, np.repeat(each[None], self.outputs, axis=0), direct)
-        return self._full_error_filter()
-
-    def _full_error_filter(self) -> ErrorFilter:
-        """Inverse mode by mode: P2 = H Φ diag(s²/(s² + 2ζω s + ω²)) Φ'B, with the skyhook's damping in ζ."""
-        plant, settings = self.plant, self.feedforward
-        squares, shapes = linalg.eigh(plant.stiffness, plant.mass)
-        if len(squares) != self.outputs:
-            raise InputError(
-                f"a full estimate needs as many platform sensors as coordinates ({len(squares)}); "
-                "use estimate = 'diagonal'"
-            )
-        seen, driven = plant.observation @ shapes, shapes.T @ plant.actuation
-        ideal = plant.damping + self.skyhook.gain * plant.actuation @ plant.observation
-        damping = np.diag(shapes.T @ ideal @ shapes)
-        pole = settings.path.actuator_pole
-        modes = [SecondaryPath(1.0, float(d), float(k), pole) for d, k in zip(damping, squares, strict=True)]
-        sections = [
-            shaping.inverse_secondary_shaping(settings.shaping, settings.path, self.sample_time, mode)
-            for mode in modes
-        ]
-        return ErrorFilter(np.linalg.inv(seen), np.array(sections), np.linalg.inv(driven))
+        return shaping.inverse_secondary_shaping(settings.shaping, settings.path, self.sample_time)
 
 
 def load_twin(model: str | Path) -> Twin:
@@ -195,12 +160,8 @@ def _plant_from_table(table: dict) -> Platform:
 
 
 def _feedforward_from_table(table: dict) -> SelfTunedFeedforward:
-    require_names(
-        "feedforward",
-        table,
-        ("integrator_order", "integrator_cutoff_hz", "integrator_powers", "beta", "shaping", "path"),
-        ("estimate",),
-    )
+    names = ("integrator_order", "integrator_cutoff_hz", "integrator_powers", "beta", "shaping", "path")
+    require_names("feedforward", table, names)
     shape = dict(require_table("feedforward.shaping", table["shaping"]))
     notches = shape.pop("notches", [])
     if not isinstance(notches, list):
