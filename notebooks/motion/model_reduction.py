@@ -1,8 +1,13 @@
-"""Model reduction (notebook 02): how far the anti-resonances move."""
+"""Model reduction (notebook 02): how far the anti-resonances move, and the explorer."""
 
 import numpy as np
 
+from experiments.motion.machines import chain
+from experiments.motion.pictures import paint_bode
 from stillwork.lti.modal import ModalModel
+from stillwork.lti.peaks import resonance_grid
+from stillwork.lti.reduction import roll_off, truncate
+from workbook import figures
 
 
 def anti_resonance_shifts(
@@ -15,3 +20,21 @@ def anti_resonance_shifts(
     }
     kept = places["full"][places["full"] < below]
     return {name: np.abs(places[name][: len(kept)] / kept - 1) for name in ("plain", "compensated")}
+
+
+def paint_reduction(retained: int, cutoff_hz: float):
+    """Explorer: model error of the reduced ten-mass chain, with and without compliance."""
+    full = chain(np.full(10, 2.0)).at([0], [0])
+    omega = resonance_grid(full.poles, 0.3, 300.0, 300, 20)
+    exact = full.frequency_response(omega)[0, 0]
+    compensated = truncate(full, int(retained), 10 - int(retained))
+    reduced = {
+        "truncated": truncate(full, int(retained)),
+        "with compliance": compensated,
+        "rolled off": roll_off(compensated, cutoff_hz),
+    }
+    curves = {"full": (omega, exact)}
+    for name, each in reduced.items():
+        curves[f"error, {name}"] = omega, exact - each.frequency_response(omega)[0, 0]
+    grey = {"full": {"color": figures.GREY}}
+    return paint_bode(curves, "magnitude (dB re 1 m/N)", styles=grey, height=3.2)[0]

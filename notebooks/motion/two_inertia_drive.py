@@ -204,9 +204,8 @@ def residual_study(
         smallest.append(np.argmin(peaks, axis=0) == 3)
         nearest.append(np.argmin(distances, axis=0) == 3)
         less[error, damping] = study["AD"] > study["MC"]
-        fractions = [less[error, damping].mean(), smallest[-1].mean(), nearest[-1].mean()]
-        rows.append([error, damping, *np.mean(peaks, axis=1), *fractions])
-    names = ["error", "added damping", *applications, "AD > MC", "both smallest", "both nearest"]
+        rows.append([error, damping, *np.mean(peaks, axis=1)])
+    names = ["error", "added damping", *applications]
     middle = min(less, key=lambda each: (abs(each[0] - 0.05), abs(each[1] - 0.1)))
     held = {"combination-best": np.concatenate(smallest), "combination-nearest": np.concatenate(nearest)}
     return pd.DataFrame(rows, columns=names).round(2), held | {"damping-less": less[middle]}

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from experiments.motion.designs import DESIGNS, RETAINED, stage_compensator, stage_observer
-from experiments.motion.loop_conditions import small_gain, static_gain, without_compliance
+from experiments.motion.loop_conditions import static_gain
 from experiments.motion.machines import stage, stage_mass
+from notebooks.motion.compensation_and_damping import small_gain, without_compliance
 from stillwork.control.applications import Application, compensator
 from stillwork.control.loops import channel, closed_loop
 from stillwork.control.pid import PidFamily

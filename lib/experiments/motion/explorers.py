@@ -1,4 +1,4 @@
-"""Explorers that several notebooks share: the mass chain of chapter 2, and the stage's bandwidth with one use of the observer."""
+"""Explorers of the mass chain of chapter 2, and of the stage's bandwidth with one use of the observer."""
 
 from collections.abc import Iterable
 from functools import lru_cache
@@ -20,26 +20,6 @@ from stillwork.control.applications import Application
 from stillwork.control.bandwidth import Loop, highest_peaks
 from stillwork.control.pid import Pid, PidFamily
 from stillwork.lti.peaks import resonance_grid
-from stillwork.lti.reduction import roll_off, truncate
-from workbook import figures
-
-
-def paint_reduction(retained: int, cutoff_hz: float):
-    """Explorer: model error of the reduced ten-mass chain, with and without compliance."""
-    full = chain(np.full(10, 2.0)).at([0], [0])
-    omega = resonance_grid(full.poles, 0.3, 300.0, 300, 20)
-    exact = full.frequency_response(omega)[0, 0]
-    compensated = truncate(full, int(retained), 10 - int(retained))
-    reduced = {
-        "truncated": truncate(full, int(retained)),
-        "with compliance": compensated,
-        "rolled off": roll_off(compensated, cutoff_hz),
-    }
-    curves = {"full": (omega, exact)}
-    for name, each in reduced.items():
-        curves[f"error, {name}"] = omega, exact - each.frequency_response(omega)[0, 0]
-    grey = {"full": {"color": figures.GREY}}
-    return paint_bode(curves, "magnitude (dB re 1 m/N)", styles=grey, height=3.2)[0]
 
 
 def paint_heavy_mass(place: int, mass_kg: float):

@@ -6,9 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from experiments.motion.designs import stage_observer
-from experiments.motion.loop_conditions import slope
 from experiments.motion.machines import published_noise, stage
-from experiments.motion.pictures import add_magnitude, case_styles, labelled_lines
+from experiments.motion.pictures import add_magnitude, case_styles
 from stillwork.control.applications import Application, compensator
 from stillwork.control.bandwidth import Loop
 from stillwork.control.loops import channel, closed_loop
@@ -98,10 +97,3 @@ def paint_controllers(
     figures.label(axes, "frequency (Hz)")
     axes[0, 0].legend(loc="best", fontsize=7)
     return figure
-
-
-def line_slope(axis, label: str, low: float, high: float) -> float:
-    """Slope of a line in dB between two x, in decades a decade."""
-    x, level = labelled_lines(axis)[label]
-    part = (x >= low) & (x <= high)
-    return slope(x[part], 10 ** (level[part] / 20))
