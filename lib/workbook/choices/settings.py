@@ -85,26 +85,19 @@ def compute_settings(topic: str | None = None, *, jobs: int | None = None) -> li
 def joint_settings(topic: str, windows: Sequence[Window]) -> Joint:
     """The best joint settings by the committed combinations and these windows."""
     axes, multiverses = load_axes(topic)
-    full = {axis.name: list(axis.texts) for axis in axes.values() if axis.kind != "seed"}
-    declared = {axis: len(texts) for axis, texts in full.items()}
-    defaults = {axis: axes[axis].default_index for axis in full}
+    options = {axis.name: list(axis.texts) for axis in axes.values() if axis.kind != "seed"}
+    defaults = {axis: axes[axis].default_index for axis in options}
     for axis, text in [*(pair for each in windows for pair in each.others), *_between(windows)]:
-        full[axis] += [text] * (text not in full[axis])
-    given, untried = _numbers(topic), _said(topic, "untried", full)
-
-    def thinned(*, hoped: bool) -> tuple[list[Number], dict[str, list[str]]]:
-        numbers, kept = _thinned(given, windows, full, declared, hoped=hoped)
-        return [_untried(number, untried, kept, defaults) for number in numbers], kept
-
-    hopeful, _ = thinned(hoped=True)
-    bound = most_at_best(hopeful)
-    numbers, options = thinned(hoped=False)
+        options[axis] += [text] * (text not in options[axis])
+    untried = _said(topic, "untried", options)
+    known = (_with_windows(number, windows, options) for number in _numbers(topic))
+    numbers = [_untried(number, untried, options, defaults) for number in known]
     joint = best_joint(numbers, options, defaults)
     shown = [each for each in joint.settings if each.best or each.option in axes[each.axis].texts]
     return replace(
         joint,
         settings=tuple(shown),
-        bound=bound,
+        bound=most_at_best(numbers),
         windows=tuple(windows),
         computed=sum(len(design(each)) for each in multiverses),
         possible=sum(each.size for each in multiverses),
@@ -122,26 +115,6 @@ def _said(topic: str, name: str, options: Iterable[str]) -> dict[str, list[str]]
     for axis in given if name == "untried" else (each for mine in given.values() for each in mine):
         require_choice(f"{file}: {name}", axis.partition(" = ")[0], options)
     return given
-
-
-def _thinned(
-    numbers: list[Number], windows: Sequence[Window], full: dict, declared: dict[str, int], *, hoped: bool
-) -> tuple[list[Number], dict[str, list[str]]]:
-    """With what the windows decide, and the options that no other outdoes, even where `hoped`: what was not computed agrees."""
-    found, options = {each.number for each in windows}, dict(full)
-    between = [_with_windows(number, windows, options) for number in numbers if number.id in found]
-    if hoped:
-        between = _hoped(between)
-    for axis in dict.fromkeys(each.axis for each in windows):
-        kept = _undominated(axis, declared[axis], len(options[axis]), between, hoped=hoped)
-        between = [_kept(number, axis, kept) for number in between]
-        options[axis] = [options[axis][k] for k in kept]
-    return [_with_windows(number, windows, options) for number in numbers], options
-
-
-def _hoped(numbers: list[Number]) -> list[Number]:
-    """With what was not computed taken as agreeing."""
-    return [replace(number, agrees=(number.agrees != 0).astype(np.int8)) for number in numbers]
 
 
 def _untried(number: Number, untried: dict, options: dict, defaults: dict[str, int]) -> Number:
@@ -191,8 +164,6 @@ def _with_windows(number: Number, windows: Iterable[Window], options: dict[str, 
     table = np.pad(number.agrees, more, constant_values=-1) if more else number.agrees
     for each in (one for one in windows if one.number == number.id):
         held = dict(each.others)
-        if any(text not in options[axis] for axis, text in each.others):
-            continue  # at an option that another one outdoes
         at = tuple(
             options[axis].index(held[axis]) if axis in held else slice(None)
             for axis in number.axes
@@ -203,29 +174,6 @@ def _with_windows(number: Number, windows: Iterable[Window], options: dict[str, 
             inside = any(low <= float(text) <= high for low, high in each.pieces)
             rows[k, *at] = np.where(rows[k, *at] < 0, inside, rows[k, *at])
     return replace(number, agrees=table)
-
-
-def _undominated(
-    axis: str, declared: int, count: int, numbers: list[Number], *, hoped: bool = False
-) -> list[int]:
-    """The declared options, and of the others those with which more agrees, or other numbers, than with any that is kept.
-
-    Where it is `hoped` that what was not computed agrees, a declared option outdoes no other: more was computed with it.
-    """
-    kept = list(range(declared))
-    if count > declared:
-        agree = np.hstack([number.by(axis) == 1 for number in numbers if axis in number.axes])
-        for k in sorted(range(declared, count), key=lambda k: -agree[k].sum()):
-            if not any((agree[k] <= agree[other]).all() for other in kept[declared * hoped :]):
-                kept.append(k)
-    return kept
-
-
-def _kept(number: Number, axis: str, kept: list[int]) -> Number:
-    """With these options of an axis alone."""
-    if axis not in number.axes:
-        return number
-    return replace(number, agrees=number.agrees.take(kept, number.axes.index(axis)))
 
 
 # === Most numbers at once =========================================================================================
@@ -281,7 +229,8 @@ def best_joint(numbers: list[Number], options: dict[str, list[str]], defaults: d
 
 def most_at_best(numbers: list[Number]) -> int:
     """How many numbers agree at once at most, what was not computed taken as agreeing."""
-    scores = _summed([_without_idle(number) for number in _hoped(numbers)], 1, {(): np.zeros((), np.int32)})
+    hoped = [replace(number, agrees=(number.agrees != 0).astype(np.int8)) for number in numbers]
+    scores = _summed(map(_without_idle, hoped), 1, {(): np.zeros((), np.int32)})
     return int(eliminate(list(scores.items()), np.add, np.max)[0])
 
 
