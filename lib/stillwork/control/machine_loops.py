@@ -54,6 +54,7 @@ HIGHEST_NOTCH = 0.8  # of half the rate
 PHASED_SEED, PHASED_ROUNDS, MOST_ADDED = 1, 8, 4
 ROUNDS = 40  # of looking for another place in the box that does harm
 THOROUGH = 16  # starts at each frequency in the last one
+CROSSED = 0.5  # of the band of a machine that shows no resonance: highest bandwidth sought, so that its crossing is seen
 SEARCH = (1 / 40, 1.0)  # of the first resonance: where bandwidths are sought
 
 
@@ -623,8 +624,19 @@ def loops_elsewhere(loop: Loop, others: Sequence[tuple[Machine, float]]) -> tupl
 
 @checked
 def search_range(machine: Machine, sample_time: float) -> tuple[float, float]:
-    """Where bandwidths are sought, Hz: below the first resonance, above a suspension, to a tenth of the rate."""
-    low, high = (share * float(machine.resonances_hz[0]) for share in SEARCH)
+    """Where bandwidths are sought, Hz: below the first resonance, above a suspension, to a tenth of the rate.
+
+    For the first resonance of a machine that shows none stands half the end of its measured band, in which the loop gain
+    must fall through 0 dB; without a measurement the rate alone is the end.
+    """
+    top = machine.rigid_to_hz * (1.0 if len(machine.resonances_hz) else CROSSED)
+    if not np.isfinite(top):
+        if not sample_time:
+            raise InputError(
+                f"{machine.source}: no flexible mode and no rate limit its bandwidth; give a rate"
+            )
+        top = 0.1 / sample_time
+    low, high = (share * top for share in SEARCH)
     low = max(low, ABOVE_SUSPENSION * float(machine.sensors[0].frequencies[0]) / (2 * np.pi))
     return low, min(high, 0.1 / sample_time) if sample_time else high
 

@@ -52,6 +52,12 @@ class Machine:
         return known.get(self.units, f"{drive}/({position}/s^2)")
 
     @property
+    def rigid_to_hz(self) -> float:
+        """Up to where it moves as one body, Hz: to its first flexible mode; without one to the end of the measured band."""
+        end = float(self.fit.omega[-1]) / (2 * np.pi) if self.fit else np.inf
+        return float(self.resonances_hz[0]) if len(self.resonances_hz) else end
+
+    @property
     def resonances_hz(self) -> Float64[np.ndarray, " modes"]:
         """Frequencies of the flexible modes, without the suspension mode of a machine on springs to the ground."""
         return self.sensors[0].frequencies[1:] / (2 * np.pi)
@@ -82,7 +88,12 @@ def whole_band(measured: Identified, band_hz: tuple[float, float]) -> tuple[floa
 
 @checked(missing=True)
 def build_machine(
-    file: MachineFile, *, modes_hz: list[float], fit_hz: tuple[float, float], mirrored_sensor: bool
+    file: MachineFile,
+    *,
+    modes_hz: list[float],
+    fit_hz: tuple[float, float],
+    mirrored_sensor: bool,
+    rigid: bool = False,
 ) -> Machine:
     """Fit a modal model to a measurement, or compute it from the matrices.
 
@@ -95,6 +106,9 @@ def build_machine(
         Band of the fit; (0, 0) for all that was measured.
     mirrored_sensor : bool
         Add a second sensor at which every flexible mode has the other sign, when the file has one sensor.
+    rigid : bool
+        Whether a machine without a flexible mode, or with none in the band, is taken as a rigid body, which may stand on
+        springs; otherwise it is refused.
 
     Returns
     -------
@@ -116,9 +130,9 @@ def build_machine(
     (10.0, array([125.8]))
     """
     if file.accelerance is None:
-        machine = _built(file, require_kind("file.model", file.model, ModalModel))
+        machine = _built(file, require_kind("file.model", file.model, ModalModel), rigid)
     else:
-        machine = _fitted(file, file.accelerance, modes_hz, fit_hz)
+        machine = _fitted(file, file.accelerance, modes_hz, fit_hz, rigid)
     if mirrored_sensor and len(machine.sensors) == 1:
         only = machine.sensors[0]
         if not only.rigid_modes:
@@ -131,25 +145,33 @@ def build_machine(
 
 
 def _fitted(
-    file: MachineFile, measured: Identified, modes_hz: list[float], fit_hz: tuple[float, float]
+    file: MachineFile, measured: Identified, modes_hz: list[float], fit_hz: tuple[float, float], rigid: bool
 ) -> Machine:
     band = whole_band(measured, fit_hz)
-    fit = identify_modes(thinned(measured, 12_000, band), band, modes_hz)
+    fit = identify_modes(thinned(measured, 12_000, band), band, modes_hz, rigid=rigid)
     notes = [*file.notes]
-    if len(fit.model.frequencies) < 2:
+    if not len(fit.deviation) and fit.rms_error > MISFIT:
+        raise InputError(
+            f"{file.source}: no resonance stands out from {band[0]:g} to {band[1]:g} Hz, and a rigid body alone is off by "
+            f"{100 * fit.rms_error:.2g} % (root mean square); let fit_hz be the band in which the response stands out of its "
+            "noise, or measure with less of it"
+        )
+    if len(fit.deviation) and len(fit.model.frequencies) < 2:
         whole, only = band, float(fit.model.frequencies[-1]) / (2 * np.pi)
-        band, fit = _closer(measured, band, only) or (band, fit)
-        if len(fit.model.frequencies) < 2:
+        part, closer = _closer(measured, band, only) or (band, fit)
+        if len(closer.model.frequencies) > 1:
+            band, fit = part, closer
+            notes.append(
+                f"fitted from {band[0]:.4g} to {band[1]:.4g} Hz: from {whole[0]:.4g} to {whole[1]:.4g} Hz one resonance alone "
+                "stood out; give fit_hz, the band in which the response is reliable"
+            )
+        elif not rigid or fit.rms_error > MISFIT:
             everything = not any(fit_hz) or whole_band(measured, (0.0, 0.0)) == whole
             raise InputError(
                 f"{file.source} has one resonance from {whole[0]:.4g} to {whole[1]:.4g} Hz, at {only:.4g} Hz, and no flexible "
                 f"mode beside it; {'measure further' if everything else 'widen fit_hz'}, or let fit_hz be the band in "
                 "which the response stands out of its noise"
             )
-        notes.append(
-            f"fitted from {band[0]:.4g} to {band[1]:.4g} Hz: from {whole[0]:.4g} to {whole[1]:.4g} Hz one resonance alone "
-            "stood out; give fit_hz, the band in which the response is reliable"
-        )
     if fit.turned:
         measured = measured._replace(response=-measured.response)
     notes += [*_model_notes(file, fit), *_misfit_notes(measured, fit, band)]
@@ -161,6 +183,8 @@ def _model_notes(file: MachineFile, fit: ModalFit) -> Iterator[str]:
     """What the fitted model is, and what of the response it is without."""
     model, low = fit.model, fit.omega[0] / (2 * np.pi)
     yield f"the mass is that from {low:.4g} Hz on, with a standard deviation of {100 * fit.mass_deviation:.2g} %"
+    if len(model.frequencies) < 2:
+        yield f"no flexible mode stands out up to {fit.omega[-1] / (2 * np.pi):.4g} Hz: the model is a rigid body, and the controller a PID"
     if fit.turned:
         yield TURNED
     if not model.rigid_modes:
@@ -199,11 +223,12 @@ def _misfit_notes(measured: Identified, fit: ModalFit, band: tuple[float, float]
             f"{100 * noise:.2g} %: what is promised in the box around the model may not hold around this machine; strong or "
             "dry damping, play, or modes that were not found: end fit_hz before them"
         )
-    below = fit.omega < model.frequencies[1] / 2
+    first = float(model.frequencies[1:].min(initial=fit.omega[-1]))
+    below = fit.omega < first / 2
     missed = float(np.sqrt(np.mean(fit.error[below] ** 2))) if below.any() else 0.0
     if missed > MAX_RELATIVE_ERROR:
         yield (
-            f"up to {model.frequencies[1] / (4 * np.pi):.4g} Hz the model is off by {100 * missed:.2g} % (root mean "
+            f"up to {first / (4 * np.pi):.4g} Hz the model is off by {100 * missed:.2g} % (root mean "
             "square): noise, or a suspension that the lines do not resolve; mind the mass, start fit_hz above it, or "
             "measure finer"
         )
@@ -220,7 +245,7 @@ def _misfit_notes(measured: Identified, fit: ModalFit, band: tuple[float, float]
         )
     widths = 2 * model.damping[1:] * model.frequencies[1:] / (2 * np.pi)
     spacing = float(np.median(np.diff(measured.omega))) / (2 * np.pi)
-    if spacing > widths.min():
+    if spacing > widths.min(initial=np.inf):
         yield (
             f"lines {spacing:.3g} Hz apart do not resolve a resonance {widths.min():.3g} Hz wide: its peak may lie "
             "between them"
@@ -243,15 +268,17 @@ def _closer(
         return None
 
 
-def _built(file: MachineFile, model: ModalModel) -> Machine:
-    suspended = not model.rigid_modes and SUSPENDED * model.frequencies[0] <= model.frequencies[1:2].sum()
+def _built(file: MachineFile, model: ModalModel, rigid: bool) -> Machine:
+    suspended = not model.rigid_modes and SUSPENDED * model.frequencies[0] <= model.frequencies[1:].min(
+        initial=np.inf
+    )
     if model.rigid_modes != 1 and not suspended:
         raise InputError(
             f"{file.source} has {model.rigid_modes} rigid-body modes; the PID rules are for a machine that is free to "
             f"move in one direction, or on springs to the ground with all resonances above {SUSPENDED:g} times that "
             "of its suspension: free this direction, and fix the others"
         )
-    if not len(model.frequencies) > 1:
+    if not rigid and not len(model.frequencies) > 1:
         raise InputError(
             f"{file.source} has no flexible mode; an observer of flexible modes has nothing to do"
         )

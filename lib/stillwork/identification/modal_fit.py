@@ -137,7 +137,9 @@ def fit_modes(measured: Identified, guesses_hz: Vector, band_hz: tuple[float, fl
 
 
 @checked
-def identify_modes(measured: Identified, band_hz: tuple[float, float], guesses_hz: Vector = ()) -> ModalFit:
+def identify_modes(
+    measured: Identified, band_hz: tuple[float, float], guesses_hz: Vector = (), *, rigid: bool = False
+) -> ModalFit:
     """Find the modes of an accelerance, leave out the spurious ones, and fit as `fit_modes` does.
 
     Candidates are the poles that settle in a stabilisation diagram (`stabilisation`). In rounds, those that lower the
@@ -155,6 +157,8 @@ def identify_modes(measured: Identified, band_hz: tuple[float, float], guesses_h
         Lines that count; the mass comes from those below half the first resonance.
     guesses_hz : array_like, shape (modes,)
         Approximate frequencies of the modes; empty to find them.
+    rigid : bool
+        Whether the rigid body alone may be the answer, where no resonance stands out.
 
     Returns
     -------
@@ -164,7 +168,7 @@ def identify_modes(measured: Identified, band_hz: tuple[float, float], guesses_h
     Raises
     ------
     InputError
-        When no mode is found, or a guess lies outside the band.
+        When no mode is found and not `rigid`, or a guess lies outside the band.
 
     References
     ----------
@@ -185,9 +189,9 @@ def identify_modes(measured: Identified, band_hz: tuple[float, float], guesses_h
         raise InputError("guesses_hz must be empty or hold frequencies all inside band_hz")
     problem = _Accelerance(measured, band_hz)
     diagram = stabilisation(problem.omega, problem.target[:, None, None])
-    free = _identified(problem, diagram, guesses, band_hz)
-    problem, modes = _rubbed(measured, band_hz, diagram, guesses, free)
-    if not len(guesses):
+    free = _identified(problem, diagram, guesses, band_hz, rigid)
+    problem, modes = _rubbed(measured, band_hz, diagram, guesses, free, rigid)
+    if modes.size and not len(guesses):
         phased = _Accelerance(measured, band_hz, phased=True)
         found = phased.phase(problem, modes, np.log(diagram.settled()))
         if found is not None:
@@ -195,14 +199,14 @@ def identify_modes(measured: Identified, band_hz: tuple[float, float], guesses_h
     return problem.fit(modes, diagram)
 
 
-def _rubbed(measured, band_hz, diagram, guesses, free):
+def _rubbed(measured, band_hz, diagram, guesses, free, rigid):
     """The problem and its modes with friction where that explains more, else those without."""
     # A free body on viscous friction, where that explains more with no more modes than without.
     if not free[0].grounded:
         rubbed = _Accelerance(measured, band_hz)
-        if rubbed.rub(np.log(diagram.settled())):
+        if rubbed.rub(np.log(diagram.settled()) if free[1].size else free[1]):
             try:
-                other = _identified(rubbed, diagram, guesses, band_hz)
+                other = _identified(rubbed, diagram, guesses, band_hz, rigid)
             except InputError:
                 return free
             left = [each.cost(modes) for each, modes in (free, other)]
@@ -214,7 +218,7 @@ def _rubbed(measured, band_hz, diagram, guesses, free):
     return free
 
 
-def _identified(problem, diagram, guesses, band_hz):
+def _identified(problem, diagram, guesses, band_hz, rigid=False):
     """The modes of `identify_modes`, and the problem with its delay and friction as they were found."""
     settled = np.log(diagram.settled())
     ends = LOG_CUT + np.log([[problem.omega[-1]], [1.0]])
@@ -239,14 +243,16 @@ def _identified(problem, diagram, guesses, band_hz):
     if modes.size and (problem.grounded or not len(guesses)):
         modes = problem.refined(modes, 60)
         modes = modes if len(guesses) else problem.pruned(modes, MIN_MODE_ERROR)
-    if not np.any(modes[0] <= np.log(problem.omega[-1])):
+    if not rigid and not np.any(modes[0] <= np.log(problem.omega[-1])):
         raise InputError(
             f"no resonance stands out from {band_hz[0]:g} to {band_hz[1]:g} Hz; widen fit_hz, or let it "
             "be the band in which the response stands out of its noise"
         )
+    if not modes.size:
+        problem.take_back()  # of a delay that was found among poles that are none
     problem.bring_forward(modes)
     problem.rub_again(modes)
-    return problem, problem.refined(modes, 60) if problem.drag else modes
+    return problem, problem.refined(modes, 60) if problem.drag and modes.size else modes
 
 
 class _Accelerance:
@@ -359,6 +365,11 @@ class _Accelerance:
             self.target = self.target * np.exp(1j * self.omega * found.x)
             self.goal = _stacked(self.target * self.weight)
 
+    def take_back(self):
+        """The response as late as it was."""
+        self.target, self.delay = self.target * np.exp(-1j * self.omega * self.delay), 0.0
+        self.goal = _stacked(self.target * self.weight)
+
     def cost(self, modes):
         """Squares that these modes leave."""
         residual = self.solved(modes)[1]
@@ -410,9 +421,9 @@ class _Accelerance:
         Of the settled poles those that are no resonance, by their damping, are left out: they stand for what is sought.
         """
         modes = settled[:, np.exp(settled[1]) < RESONANT][:, :MOST_FITTED]
-        if not modes.size:
+        if settled.size and not modes.size:
             return False
-        first = np.exp(modes[0].min())
+        first = np.exp(modes[0].min(initial=np.log(self.omega[-1])))
         trials = np.append(0.0, np.geomspace(self.omega[0] / 100, first, 60))
         left = self.left_with(modes, trials)
         best = int(left.argmin())
@@ -501,7 +512,7 @@ class _Accelerance:
 
     def places(self, modes):
         """Which columns hold each mode's part, and in a second row its velocity's if the modes have phases."""
-        return np.arange((1 + self.phased) * modes.shape[1]).reshape(-1, modes.shape[1]) + FIXED
+        return np.arange((1 + self.phased) * modes.shape[1]).reshape(1 + self.phased, -1) + FIXED
 
     def _standing(self, modes, linear, gram, right):
         """Relative error that each mode prevents over its own width; 0 for one that noise or cancelling could make."""
@@ -540,7 +551,8 @@ class _Accelerance:
         gains, residual, _ = self.solved(modes)
         linear, moving = self.columns(modes)
         rigid = FIXED if self.grounded else 0  # the suspension is the rigid body of a machine on springs
-        below = np.tile(self.omega < np.exp(modes[0, 0]) / 2, 2)
+        first = np.exp(modes[0].min(initial=np.inf))
+        below = np.tile(self.omega < first / 2, 2)
         jacobian = np.hstack([linear, self.slopes(moving, gains)])
         rows = _rows(jacobian)
         if below.any() and not self.grounded:

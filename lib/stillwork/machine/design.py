@@ -32,12 +32,12 @@ from stillwork.machine.machine_designs import (
     CHANGES,
     DELAY,
     EACH,
-    USES,
     Designed,
     crossing,
     improvements,
     search_designs,
     stated_uncertainty,
+    uses_of,
 )
 from stillwork.machine.progress import count_steps
 from stillwork.machine.promise import beyond, checked_biquads, over_the_box, over_the_phases, recheck
@@ -201,7 +201,8 @@ def design_file(
 
         return design_axes(wanted, folder, request, make, verbose)
     given = _read(request, files, options)
-    step = count_steps(EACH * USES * (1 + CHANGES * request.what_helps), "design")
+    uses = len(uses_of(given.machines[0]))
+    step = count_steps(EACH * uses * (1 + CHANGES * request.what_helps), "design")
     lowest = search_range(given.machines[0], 1 / rate)[0]
     made = search_designs(
         given.machines[0],
@@ -436,8 +437,10 @@ def _facts(given: _Given, made: Designed) -> list[list[str]]:
 def _findings(given: _Given, made: Designed) -> list[str]:
     """Lines on the machine and on the search."""
     machine = made.machine
+    hertz = machine.resonances_hz
+    first = f"first resonance at {hertz[0]:.4g} Hz" if len(hertz) else "no flexible mode"
     return [
-        f"{machine.source}: {given.file.kind}; {machine.mass:.4g} {machine.mass_unit}; first resonance at {machine.resonances_hz[0]:.4g} Hz",
+        f"{machine.source}: {given.file.kind}; {machine.mass:.4g} {machine.mass_unit}; {first}",
         *machine.notes,
         *(
             note

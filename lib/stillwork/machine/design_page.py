@@ -64,9 +64,10 @@ def report(
     machine, reached = made.machine, made.found[made.ranking[0]]
     where = list(next(iter(peaks.values())))
     sizes = [[SHOWN[name], *(f"{peak[column]:.2f}" for column in where)] for name, peak in peaks.items()]
+    shown = ", ".join(f"{hertz:.4g}" for hertz in machine.resonances_hz)
     facts = [
         ["mass" if machine.units[0] == "m" else "inertia", f"{machine.mass:.4g} {machine.mass_unit}"],
-        ["resonances", ", ".join(f"{hertz:.4g}" for hertz in machine.resonances_hz) + " Hz"],
+        ["resonances", f"{shown} Hz" if shown else f"none up to {machine.rigid_to_hz:.4g} Hz"],
         *map(list, about),
         *(["note", note] for note in machine.notes),
     ]
@@ -103,10 +104,9 @@ def uses_table(made: Designed) -> str:
 def paint_machine(machine: Machine):
     """Accelerance of the model at every sensor, and of the measurement at the first."""
     figure, axis = pictures.new(1, 1, height=3.0)
-    resonances = machine.resonances_hz
-    hertz = np.unique(
-        np.concatenate([np.geomspace(resonances[0] / 10, 2 * resonances[-1], 3000), resonances])
-    )
+    resonances, end = machine.resonances_hz, machine.rigid_to_hz if np.isfinite(machine.rigid_to_hz) else 1e3
+    last = float(resonances.max(initial=end))
+    hertz = np.unique(np.concatenate([np.geomspace(end / 10, 2 * last, 3000), resonances]))
     if machine.measured is not None:
         seen = machine.measured.omega / (2 * np.pi)
         shown = (seen >= hertz[0]) & (seen <= hertz[-1])

@@ -118,8 +118,10 @@ class Designed(NamedTuple):
 @checked
 def default_rate(machine: Machine) -> float:
     """The rate (Hz) where none is given: 1, 2 or 5 times a power of ten, well above all resonances of the model."""
-    hertz = machine.resonances_hz
-    least = max(OVER_FIRST * float(hertz[0]), OVER_LAST * float(hertz[-1]))
+    first = machine.rigid_to_hz
+    if not np.isfinite(first):
+        raise InputError(f"{machine.source}: no flexible mode tells what rate it needs; give a rate")
+    least = max(OVER_FIRST * first, OVER_LAST * float(machine.resonances_hz.max(initial=first)))
     power = 10 ** np.floor(np.log10(least))
     return float(next(step * power for step in (*STEPS, 10) if step * power >= (1 - 1e-9) * least))
 
@@ -202,7 +204,8 @@ def search_designs(
     shares = stated_uncertainty(uncertainty)
     chosen = not rate
     rate = rate or default_rate(machine)
-    lowest, resonance = search_range(machine, 0.0)[0], float(machine.resonances_hz[0])
+    resonance = machine.rigid_to_hz
+    lowest = search_range(machine, 0.0 if np.isfinite(resonance) else 1 / rate)[0]
     # Bandwidths are sought to a tenth of the rate; a mode's part in the coefficients is the square of its angle a sample.
     require_number("rate", rate, above=10 * lowest, at_most=resonance / np.sqrt(np.finfo(float).eps))
     if delay / rate * lowest >= 1:
@@ -247,7 +250,9 @@ def search_designs(
         loop_hz,
         search_hz,
     )
-    for use, application in ({"PID": None, NOTCHED: None} | applications(added_damping, selectivity)).items():
+    every = {"PID": None, NOTCHED: None} | applications(added_damping, selectivity)
+    for use in uses_of(machine):
+        application = every[use]
         first = DesignSettings(application, retained, intensities, use == NOTCHED)
         best = _furthest(
             prompt[0],
@@ -262,6 +267,12 @@ def search_designs(
                 made.settings[use], made.found[use] = made.settings[name], made.found[name]
                 made.same[use] = made.same.get(name, name)
     return made
+
+
+@checked
+def uses_of(machine: Machine) -> list[str]:
+    """The uses that are searched: of a machine that shows no flexible mode PID alone."""
+    return list(CONTAINED) if len(machine.resonances_hz) else ["PID"]
 
 
 def _prompt(machine: Machine, delay: float, rate: float) -> tuple[Machine, float]:
@@ -398,6 +409,8 @@ def improvements(
     before, gains = crossing(made.found[made.ranking[0]]), []
     for words, ((first, *others), rate, late) in trials.items():
         if late == delay and rate == made.rate and first is machines[0]:
+            continue
+        if first is not machines[0] and not len(first.resonances_hz):
             continue
         found = search_designs(first, others, rate=rate, delay=late, **asked)
         hertz = max(map(crossing, found.found.values()))

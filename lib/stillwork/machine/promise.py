@@ -16,6 +16,7 @@ from stillwork.machine.machine_designs import Designed
 
 # Modes beyond the band: up to how many times the rate they are looked for, at how many frequencies and phases.
 FOLDS, LOOKED, PHASES = 10, 4000, 48
+UNSEEN_DAMPING = 0.005  # of a mode that is looked for where none was seen: that of matrices without damping
 
 
 def over_the_box(reached: AchievableBandwidth, spreads: Sequence[Uncertainty]) -> dict[str, float]:
@@ -35,17 +36,23 @@ def over_the_box(reached: AchievableBandwidth, spreads: Sequence[Uncertainty]) -
 def breaking_hz(made: Designed, use: str) -> float:
     """Up to which frequency (Hz) beyond the measured band one mode more could break the promise of a use; 0: at none.
 
-    The mode has the largest share and the smallest damping ratio of those in the model. At its resonance, where the
+    The mode has the largest share and the smallest damping ratio of those in the model; where it has none, the share of the
+    rigid body and the damping ratio `UNSEEN_DAMPING`. At its resonance, where the
     processor sees it folded and behind the hold, it adds so much to the plant at whatever phase.
     """
     machine, reached, rate = made.machine, made.found[use], made.rate
     if machine.fit is None:
         return 0.0
     model, end = machine.sensors[0], machine.fit.omega[-1] / (2 * np.pi)
-    share = np.abs(model.input_shapes[1:, 0] * model.output_shapes[0, 1:]).max()
+    seen = min(1, len(model.damping) - 1)
+    share = np.abs(model.input_shapes[seen:, 0] * model.output_shapes[0, seen:]).max()
     hertz = np.linspace(end, max(FOLDS * rate, 2 * end), LOOKED)
     folded = np.maximum(np.abs(hertz / rate - np.round(hertz / rate)), 1 / LOOKED) * rate
-    added = share / (2 * model.damping[1:].min() * (2 * np.pi * hertz) ** 2) * np.abs(np.sinc(hertz / rate))
+    added = (
+        share
+        / (2 * model.damping[1:].min(initial=np.inf if seen else UNSEEN_DAMPING) * (2 * np.pi * hertz) ** 2)
+        * np.abs(np.sinc(hertz / rate))
+    )
     turned = added * np.exp(2j * np.pi * np.arange(PHASES) / PHASES)[:, None]
     breaks = np.zeros(LOOKED, dtype=bool)
     for loop in reached.model_loops:
@@ -61,11 +68,10 @@ def beyond(made: Designed) -> str:
     if made.machine.fit is None:
         return ""
     hertz = breaking_hz(made, made.ranking[0])
-    further = (
-        f"; one as large and as lightly damped as any in it could break it up to {hertz:.4g} Hz: measure to there"
-        if hertz
-        else ""
-    )
+    like = "as large and as lightly damped as any in it"
+    if not len(made.machine.resonances_hz):
+        like = f"as large as the rigid body and damped by {100 * UNSEEN_DAMPING:g} %"
+    further = f"; one {like} could break it up to {hertz:.4g} Hz: measure to there" if hertz else ""
     return f"not for modes above the measured band, which ends at {made.machine.fit.omega[-1] / (2 * np.pi):.4g} Hz{further}"
 
 

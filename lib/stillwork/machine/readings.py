@@ -29,7 +29,7 @@ PER_SIZE = {"dB": 20 / np.log(10), "deg": 180 / np.pi, "rad": 1.0}
 @checked(missing=True)
 def believed(file: MachineFile, machine: Machine) -> str:
     """One line on what a file was taken for: mass, modes, and the unit of each column, written or by default."""
-    hertz = machine.resonances_hz
+    hertz, rigid = machine.resonances_hz, f"no flexible mode up to {machine.rigid_to_hz:.4g} Hz"
     modes = ", ".join(f"{each:.4g}" for each in hertz[:SHOWN_MODES])
     modes = (
         " and ".join(modes.rsplit(", ", 1))
@@ -46,9 +46,8 @@ def believed(file: MachineFile, machine: Machine) -> str:
             )
     told = [f"{' and '.join(dict.fromkeys(names))} {unit}" for unit, names in parts.items()]
     units = ", ".join(told) or f"matrices in {machine.units[0]} and {machine.units[1]}"
-    return (
-        f"{machine.mass:.4g} {machine.mass_unit}, mode{'s' if len(hertz) > 1 else ''} at {modes} Hz; {units}"
-    )
+    found = f"mode{'s' if len(hertz) > 1 else ''} at {modes} Hz" if len(hertz) else rigid
+    return f"{machine.mass:.4g} {machine.mass_unit}, {found}; {units}"
 
 
 @checked(missing=True)
@@ -114,7 +113,7 @@ def build_explained(
 ) -> Machine:
     """`build_machine`, with what it believes printed, and refused as by `require_explained`."""
     try:
-        machine = build_machine(file, modes_hz=[], fit_hz=fit_hz, mirrored_sensor=False)
+        machine = build_machine(file, modes_hz=[], fit_hz=fit_hz, mirrored_sensor=False, rigid=True)
     except InputError:
         require_explained(path, file, None, fit_hz, options)
         raise

@@ -23,7 +23,7 @@ from stillwork.machine import pictures
 from stillwork.machine.design_page import paint_machine, paint_stabilisation, uses_table
 from stillwork.machine.html_page import page, picture, require_new, table
 from stillwork.machine.inspect import inspect_file
-from stillwork.machine.machine_designs import DELAY, EACH, USES, search_designs, stated_uncertainty
+from stillwork.machine.machine_designs import DELAY, EACH, search_designs, stated_uncertainty, uses_of
 from stillwork.machine.progress import count_steps
 from stillwork.machine.promise import beyond
 from stillwork.machine.readings import believed, require_explained
@@ -152,7 +152,7 @@ def _machine(source: Path, arrays, arguments) -> Iterator[str | tuple[str, str]]
                 raise Missing(name, f"{source.name} does not state the unit of the {whose} (e.g. {usual})")
     file = load_machine(source, **options)
     band = arguments.get("fit_hz", (0.0, 0.0))
-    machine = build_machine(file, modes_hz=[], fit_hz=band, mirrored_sensor=False)
+    machine = build_machine(file, modes_hz=[], fit_hz=band, mirrored_sensor=False, rigid=True)
     print(believed(file, machine), file=sys.stderr, flush=True)
     known = f" ± {100 * NORMAL * machine.fit.mass_deviation:.2g} %" if machine.fit else ""
     modes = [f"{hertz:.4g}" for hertz in machine.resonances_hz]
@@ -169,7 +169,7 @@ def _machine(source: Path, arrays, arguments) -> Iterator[str | tuple[str, str]]
     }
     try:
         require_explained(source, file, machine, band, options)
-        made = search_designs(machine, **asked, on_step=count_steps(EACH * USES, "report"))
+        made = search_designs(machine, **asked, on_step=count_steps(EACH * len(uses_of(machine)), "report"))
     except InputError as error:
         yield Answer(f"no loop was searched: {error}")
     else:

@@ -164,7 +164,7 @@ def _measured_in_the_loop(designed: DesignedLoop, file: str, loop_hz, load_optio
 def _measured_machine(designed: DesignedLoop, file: str, fit_hz, loop_hz, load_options: Mapping) -> _Found:
     made, sample_time = designed.made, designed.loop.sample_time
     taken = load_machine(file, **load_options)
-    machine = build_machine(taken, modes_hz=[], fit_hz=fit_hz, mirrored_sensor=False)
+    machine = build_machine(taken, modes_hz=[], fit_hz=fit_hz, mirrored_sensor=False, rigid=True)
     print(believed(taken, machine), file=sys.stderr, flush=True)
     if machine.mass_unit != made["mass_unit"]:
         raise InputError(
@@ -280,6 +280,9 @@ def _changes(designed: ModalModel, machine: Machine, made: Table, late: float) -
     rows = []
     for k in range(1, len(designed.frequencies)):
         then = designed.frequencies[k]
+        if len(now.frequencies) < 2:
+            rows.append(["resonance", f"{then / (2 * np.pi):.5g} Hz", "none", "", "outside the box"])
+            continue
         j = 1 + int(np.abs(np.log(now.frequencies[1:] / then)).argmin())
         share = np.broadcast_to(box["frequency"], designed.frequencies.shape)[k]
         change = now.frequencies[j] / then - 1

@@ -35,7 +35,7 @@ def waits(machine: Machine, search: SearchSettings) -> np.ndarray:
     What they make of the loop's delay is the same for all delays that differ by whole samples, so that a machine that is
     earlier by these gets as far.
     """
-    most = min(max(2.0, np.floor(0.5 / (machine.resonances_hz[0] * search.sample_time))), LONGEST)
+    most = min(max(2.0, np.floor(0.5 / (machine.rigid_to_hz * search.sample_time))), LONGEST)
     whole = np.geomspace(1, most, MOST_WAITS).round() if most > MOST_WAITS else np.arange(1, most + 1)
     later = np.concatenate([FINE, whole]) - np.floor(search.delay + 1e-9)
     return np.unique(np.concatenate([[0.0, 1.0], later[later > 0]]))
