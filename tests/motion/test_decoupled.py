@@ -150,6 +150,30 @@ def test_a_machine_on_soft_springs_is_decoupled_above_them(springs_hz):
     assert low.free and interaction((rigid + 0j)[None])[0] < 0.05
 
 
+@pytest.mark.parametrize("n", [2, 3, 6])
+@pytest.mark.parametrize("low_hz", [10.0, 15.0, 22.0, 30.0])
+def test_a_machine_whose_lines_begin_among_its_springs_is_decoupled_in_mass_and_stiffness(n, low_hz):
+    """By SciPy's eigenvectors of random matrices, coupled in both, with two masses on springs of their own beside them."""
+    rng = np.random.default_rng(10 * n)
+    shape, turned = np.eye(n) + 0.3 * rng.uniform(-1, 1, (n, n)), np.linalg.qr(rng.standard_normal((n, n)))[0]
+    body = shape.T @ np.diag(rng.uniform(2, 9, n)) @ shape
+    root = np.linalg.cholesky(body) @ turned
+    held = root @ np.diag((2 * np.pi * np.linspace(25.0, 40.0, n)) ** 2) @ root.T
+    mass, stiffness = linalg.block_diag(body, 0.3 * np.eye(2)), linalg.block_diag(held, np.zeros((2, 2)))
+    for k, hertz in enumerate((190.0, 310.0)):
+        spring = np.append(rng.standard_normal(n) / np.sqrt(n), -np.eye(2)[k])
+        stiffness += 0.3 * (2 * np.pi * hertz) ** 2 * np.outer(spring, spring)
+    squares, shapes = linalg.eigh(stiffness, mass)
+    out, into = (np.eye(n) + 0.3 * rng.uniform(-1, 1, (n, n)) for _ in range(2))
+    hertz = np.arange(low_hz, 600.0)
+    seen = accelerance(np.sqrt(squares), 0.01, out @ shapes[:n], shapes[:n].T @ into, hertz)
+    seen = seen * (1 + 0.002 * rng.standard_normal(seen.shape))
+    _, (axes, *_) = decouplings(hertz, seen)
+    for inner in (np.linalg.inv(body), np.linalg.inv(held)):
+        true = axes.sensing @ out @ inner @ into @ axes.actuation
+        assert interaction((true + 0j)[None])[0] < 0.2
+
+
 def test_what_has_fewer_rigid_bodies_than_axes_is_refused():
     omega, ratio, out, into = machine(3, 1)
     out[:, 0] = 0.0
