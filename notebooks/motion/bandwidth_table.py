@@ -372,14 +372,18 @@ def distances() -> np.ndarray:
 
 
 def appendix(
-    page, *, again: np.ndarray, position: int, gains: np.ndarray, row: pd.Series, third: pd.DataFrame
+    page, *, crossings: Mapping[str, np.ndarray], position: int, row: pd.Series, third: pd.DataFrame
 ) -> None:
-    """What the notebook judges beside its answer: the second number of MC with two constraints, AD over PID, the map's optimum.
+    """What the notebook judges beside its answer: the second number of MC with two constraints, what AD gives, the map's optimum.
 
-    `again` and `gains` (AD over PID) are by meaning of 6 dB and mass, `row` and `third` of the map over Q_nu.
+    `crossings` are by meaning of 6 dB and mass (Hz), `row` and `third` of the map over Q_nu.
     """
+    again = crossings["MC, two constraints"]
     page.check("motion.bandwidth.mc-two-constraints-again", again[0, position - 1], interval_of(again))
-    page.check("motion.bandwidth.doubled-by-ad", np.mean(gains > 2))
+    page.check("motion.bandwidth.doubled-by-ad", np.mean(crossings["AD"] > 2 * crossings["PID"]))
+    page.check("motion.bandwidth.ad-above-mc", np.mean(crossings["AD"] > crossings["MC"]))
+    most = np.max([*crossings.values()], axis=0)
+    page.check("motion.bandwidth.both-above-all", np.mean(crossings["MC and AD"] == most))
     page.text(r"""## The map in numbers
 
 The first crossing at $Q = 2$ with the two constraints of (3.47), by $Q_\nu$, and the largest $f_{bw}$ with the third one, by $Q$

@@ -15,10 +15,17 @@ from experiments.motion.designs import (
     stage_loops,
 )
 from experiments.motion.machines import chain, stage_mass
-from experiments.motion.pictures import LABELS, decibel, magnitudes_over_masses, paint_bode, paint_over_masses
+from experiments.motion.pictures import (
+    LABELS,
+    decibel,
+    magnitudes_over_masses,
+    mark_limit,
+    paint_bode,
+    paint_over_masses,
+)
 from stillwork.control.applications import Application
 from stillwork.control.bandwidth import Loop, highest_peaks
-from stillwork.control.pid import Pid, PidFamily
+from stillwork.control.pid import PidFamily
 from stillwork.lti.peaks import resonance_grid
 
 
@@ -35,6 +42,7 @@ def paint_heavy_mass(place: int, mass_kg: float):
 
 
 ORIGINAL = ", original controller"
+THREE = ("input_sensitivity", "output_sensitivity", "true_tracking")
 
 
 @lru_cache(maxsize=8)
@@ -53,8 +61,23 @@ def paint_design(
     """Explorer: S_I and S_O of the seven loops for one controller and one use of the observer."""
     used = damping > 0 or compensate == "yes"
     application = Application(compensate == "yes", damping, selectivity=selectivity) if used else None
-    names = ("input_sensitivity", "output_sensitivity")
-    return _paint(Design(application, noise_model), PidFamily(stage_mass())(bandwidth_hz), names)
+    loops, controller = _loops(Design(application, noise_model)), PidFamily(stage_mass())(bandwidth_hz)
+    figure, names = _panels(), THREE[:2]
+    curves = magnitudes_over_masses({name: (loops, controller, name) for name in names})
+    peaks = highest_peaks(loops, controller, names)
+    for axis, (name, peak) in zip(figure.axes, peaks.items(), strict=True):
+        for line, (omega, response, _) in zip(axis.lines, curves[name].values(), strict=False):
+            line.set_data(omega / (2 * np.pi), decibel(response))
+        verdict = f"peak {decibel(peak.magnitude):.1f} dB" if np.isfinite(peak.magnitude) else "unstable"
+        axis.set_title(f"{LABELS[name]}: {verdict}")
+    return figure
+
+
+@lru_cache
+def _panels():
+    """The figure of `paint_design`, kept from one move to the next: its lines and titles are set anew."""
+    plain = _loops(DESIGNS["PID"]), PidFamily(stage_mass())(10.0)
+    return paint_over_masses({LABELS[name]: (*plain, name) for name in THREE[:2]})
 
 
 @lru_cache(maxsize=8)
@@ -92,34 +115,25 @@ def table_presets(*designs: str) -> dict[str, dict]:
     return found
 
 
-THREE = ("input_sensitivity", "output_sensitivity", "true_tracking")
-
-
-def paint_published(design: str, part: float):
-    """Explorer: the seven loops of a published design at a part (%) of the largest bandwidth that it allows."""
-    controller = controllers(DESIGNS[design])(part / 100 * _limit_hz(design))
-    return _paint(DESIGNS[design], controller, THREE)
-
-
 @lru_cache
-def _panels(names: tuple[str, ...]):
-    """A figure of these loop functions, kept from one move to the next: its lines and titles are set anew."""
-    plain = _loops(DESIGNS["PID"]), PidFamily(stage_mass())(10.0)
-    figure = paint_over_masses({LABELS[name]: (*plain, name) for name in names})
-    figure.axes[0].get_legend().remove()  # a seventh of a move's time
+def _envelopes():
+    """The figure of `paint_published`, kept from one move to the next: its lines and title are set anew."""
+    omega = _loops(DESIGNS["PID"])[0].omega
+    flat = {LABELS[name]: (omega, np.ones(len(omega))) for name in THREE}
+    figure, axes = paint_bode(flat, "largest over the masses (dB)", height=3.2, xlim=(1, 2e3), ylim=(-50, 15))
+    mark_limit(axes[0])
     return figure
 
 
-def _paint(design: Design, controller: Pid, names: tuple[str, ...]):
-    """Loop functions of the seven masses, with the highest peak of each."""
-    loops, figure = _loops(design), _panels(names)
-    curves = magnitudes_over_masses({name: (loops, controller, name) for name in names})
-    peaks = highest_peaks(loops, controller, names)
-    for axis, (name, peak) in zip(figure.axes, peaks.items(), strict=True):
-        for line, (omega, response, _) in zip(axis.lines, curves[name].values(), strict=False):
-            line.set_data(omega / (2 * np.pi), decibel(response))
-        verdict = (
-            f"peak {20 * np.log10(peak.magnitude):.1f} dB" if np.isfinite(peak.magnitude) else "unstable"
-        )
-        axis.set_title(f"{LABELS[name]}: {verdict}")
+def paint_published(design: str, part: float):
+    """Explorer: a published design at a part (%) of the largest bandwidth that it allows, the worst of its seven loops."""
+    loops, controller = _loops(DESIGNS[design]), controllers(DESIGNS[design])(part / 100 * _limit_hz(design))
+    omega, figure = loops[0].omega, _envelopes()
+    responses = [loop.at(controller, omega) for loop in loops]
+    for line, name in zip(figure.axes[0].lines, THREE, strict=False):
+        worst = np.max([np.abs(getattr(each, name)) for each in responses], axis=0)
+        line.set_data(omega / (2 * np.pi), decibel(worst))
+    peaks = [decibel(each.magnitude) for each in highest_peaks(loops, controller, THREE).values()]
+    written = ", ".join(f"{each:.1f}" for each in peaks)
+    figure.axes[0].set_title(f"peaks: {written} dB" if np.isfinite(peaks).all() else "unstable")
     return figure
