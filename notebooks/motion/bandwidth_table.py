@@ -381,6 +381,7 @@ def appendix(
     again = crossings["MC, two constraints"]
     page.check("motion.bandwidth.mc-two-constraints-again", again[0, position - 1], interval_of(again))
     page.check("motion.bandwidth.doubled-by-ad", np.mean(crossings["AD"] > 2 * crossings["PID"]))
+    page.check("motion.bandwidth.mc-limited", np.mean(crossings["MC"] < again))
     page.check("motion.bandwidth.ad-above-mc", np.mean(crossings["AD"] > crossings["MC"]))
     most = np.max([*crossings.values()], axis=0)
     page.check("motion.bandwidth.both-above-all", np.mean(crossings["MC and AD"] == most))
