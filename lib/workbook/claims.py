@@ -42,6 +42,7 @@ AGREEMENT = ("inside", "better", "passes")
 DISAGREEMENT = ("outside", "fails")
 BASES = ("predicted", "fitted", "calibrated")
 MOST = 10  # claims that a page's table shows
+SECOND = ("not judged", "passes", "fails")  # what it shows where there is room
 
 
 @dataclass(frozen=True)
@@ -453,12 +454,12 @@ class ClaimsTable:
 
     @property
     def shown(self) -> list[Claim]:
-        """At most `most`: the ledger's headlines, then what was published, of each figure or table in turn."""
+        """At most `most`: the ledger's headlines, then what is judged and published, of each figure or table in turn."""
         groups: dict[str, list[Claim]] = {}
         for claim in self.claims:
             groups.setdefault(claim.entry.id.split(".")[1], []).append(claim)
         turns = [claim for turn in zip_longest(*groups.values()) for claim in turn if claim is not None]
-        turns.sort(key=lambda claim: (not claim.entry.headline, not claim.entry.is_replication))
+        turns.sort(key=lambda claim: (not claim.entry.headline, claim.shown_here in SECOND))
         chosen = {claim.entry.id for claim in turns[: self.most]}
         return [claim for claim in self.claims if claim.entry.id in chosen]
 
