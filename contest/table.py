@@ -19,7 +19,7 @@ from contest.record import COLUMNS, file_rows, record_standings
 from contest.record import FILE as RECORDED
 from contest.runner import Disqualified, checked_file, knobs_of, running
 from contest.scores import ENTRANTS, ORACLE, Scan, rows_of, scores_of
-from contest.tuning import TUNINGS, scans_of, settings_for, tune
+from contest.tuning import TUNINGS, capped_mean, scans_of, settings_for, tune
 from stillwork.base.checks import InputError, pluralise, require_choice
 from workbook import paths
 from workbook.workers import cores, processes
@@ -75,7 +75,7 @@ def run_file(
             for scan in scans:
                 scores = call(scores_of, name, file, scan, settings[scan.seed % TUNINGS])
                 rows += [(score, *scan_key(scan), name, value) for score, value in scores.items()]
-            print(on_machine(tabulated(rows)[name], table, plant), flush=True)
+            print(on_machine(tabulated(rows)[name], table, plant), file=sys.stderr, flush=True)
         if every:
             recorded = call(file_rows, name, file, knobs, tuned, scans=12)
     return tabulated(rows)[name], pd.DataFrame(recorded, columns=COLUMNS)
@@ -87,12 +87,10 @@ def scan_key(scan: Scan) -> tuple:
 
 
 def on_machine(found: pd.Series, table: pd.DataFrame, plant: str) -> str:
-    """A line: the median error on a machine, the Kalman filter's on the same scans, and the place among all."""
+    """A line of progress: the mean error on a machine, as the ranking counts it, and the Kalman filter's on the same scans."""
     own = found.xs("flexible").xs(plant, level="plant", drop_level=False)
     others = table[table["score"] == "flexible"].set_index(KEYS[1:]).loc[own.index]
-    middle = others.drop(columns=["score", ORACLE]).median()
-    place = 1 + int((middle < own.median()).sum())
-    return f"{plant}: error {own.median():.2f}, Kalman {middle['Kalman']:.2f}, place {place} of {len(middle) + 1} by error"
+    return f"{plant}: error {capped_mean(own):.2f}, Kalman {capped_mean(others['Kalman']):.2f}"
 
 
 def as_markdown(found: pd.DataFrame) -> str:
@@ -161,7 +159,7 @@ def hold_contest(
     began, table, recorded = time.monotonic(), written_table(), pd.read_csv(RECORDED)
     joined, disqualified = table.set_index(KEYS), {}
     for name, file in checked.items():
-        print(f"{name}: runs with your rights, as python would run it")
+        print(f"{name}: runs with your rights, as python would run it", file=sys.stderr, flush=True)
         try:
             found, own = run_file(name, file, machine or tuple(PLANTS), all, tuned, table)
         except Disqualified as reason:

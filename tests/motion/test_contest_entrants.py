@@ -8,10 +8,10 @@ import pytest
 
 from contest import runner, tuning
 from contest.nominal import TuningParameter
-from contest.ranking import KEYS
+from contest.ranking import KEYS, standings
 from contest.runner import Disqualified, FileObserver, knobs_of, running
 from contest.scores import ENTRANTS, Scan, scores_of
-from contest.table import hold_contest, written_table
+from contest.table import PUBLICS, hold_contest, on_machine, written_table
 from stillwork.base.checks import InputError
 from workbook import paths
 
@@ -77,16 +77,26 @@ def test_a_broken_observer_is_out_by_reason(what, written, monkeypatch):
         call(scores_of, "mine", file, SCAN, ())
 
 
+def test_the_error_on_a_machine_is_the_rankings():
+    """Of one of our entrants, as if it were a file: the line of progress has the numbers of the answer."""
+    table = written_table()
+    table = table[(table["plant"] == "stage") & (table["public"] == PUBLICS[0]) & (table["seed"] == 0)]
+    ranked = standings(table.reset_index(drop=True)).set_index("observer")["error"]
+    for name in ("unknown input", "Kalman"):
+        said = on_machine(table.set_index(KEYS)[name], table, "stage")
+        assert said == f"stage: error {ranked[name]}, Kalman {ranked['Kalman']}"
+
+
 @pytest.mark.slow
 def test_a_file_runs_machine_by_machine_and_one_that_is_out_stops_nobody(written, tmp_path, capsys):
     mine = written("KNOBS = [('size', 0.5, 8.0, 3.0)]\n" + ZERO.replace("BODY", "pass"))
     hopeless = written(ZERO.replace("BODY", "1 / 0"), "hopeless.py")
     out = tmp_path / "out.csv"
     assert hold_contest([hopeless, mine], machine=["drive", "stage"], out=str(out)) == 1
-    table, shown = pd.read_csv(out, dtype={"public": str}), capsys.readouterr().out
-    assert list(table.columns) == [*written_table().columns, "mine"] and "hopeless is disqualified" in shown
-    assert "mine: place 15 of 15 by mean rank" in shown and "unscented Kalman   " not in shown
-    assert re.findall(r"^(\w+): error 1.00, Kalman 0", shown, re.MULTILINE) == ["drive", "stage"]
+    table, (shown, progress) = pd.read_csv(out, dtype={"public": str}), capsys.readouterr()
+    assert "unscented Kalman   " not in shown
+    assert "mine: place 15 of 15 by mean rank" in shown and shown.count("place") == 1
+    assert re.findall(r"^(\w+): error 1.00, Kalman 0", progress, re.MULTILINE) == ["drive", "stage"]
     flexible = table[table["score"] == "flexible"]
     assert len(flexible) == 2 * 12 and (flexible["mine"] == 1).all() and not flexible[KEYS].duplicated().any()
 
