@@ -30,6 +30,8 @@ HEADERS = {
     # Bode 100, Siglent, Keysight, PicoScope, FRA4PicoScope
     "Trace 1: Gain: Magnitude (dB)": ("magnitude", ("dB", 1)),
     "Trace 2: Gain: Phase (°)": ("phase", DEGREE),
+    "Trace 1 (Memory): Gain: Magnitude (dB)": ("magnitude", ("dB", 1)),
+    "Trace 1 (Memory): Gain: Phase (°)": ("phase", DEGREE),
     "Trace 2: Gain: Phase (deg)": ("phase", DEGREE),
     "Trace 1: Gain: Real ": ("real", DEFAULT),
     "Frequency Log(Hz)": ("", 1),

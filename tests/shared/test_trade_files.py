@@ -148,6 +148,7 @@ WRITTEN = {
     "one label.uff": universal(5, (1e3, 1e3), ACCELERANCE / 9806.65, (12, 13), unit="g"),
     "its own.uff": universal(9, (3.0, 7.0), 1e3 * ACCELERANCE, (12, 13), unit="mm/s^2/N"),
     "by kind.uff": universal(0, (0.0, 0.0), COMPLIANCE, (8, 13)),
+    "slashes.h5": lambda file: hdf5(file, {"frequency (Hz)": HZ, "h (m/s^2/N)": ACCELERANCE}),  # two groups for HDF5
     "waveform.tdms": lambda file: tdms(
         file, {"H": (ACCELERANCE, {"wf_increment": 1.0, "wf_start_offset": 10.0, "wf_xname": "Frequency", "wf_xunit_string": "Hz"})}
     ),
@@ -194,6 +195,32 @@ def test_one_of_several_columns_is_chosen_by_a_part_of_its_name(tmp_path):
         {"f": (HZ, {}), "H": (ACCELERANCE, {}), "temp": (np.ones(1), {"unit_string": "degC"})},
     )
     assert load_machine(tmp_path / "a.tdms").accelerance.response == pytest.approx(ACCELERANCE)
+
+
+def test_a_trace_in_memory_is_a_response_beside_the_measured_one(tmp_path):
+    names = [
+        f"Trace 1{memory}: Gain: {part}"
+        for memory in ("", " (Memory)")
+        for part in ("Magnitude (dB)", "Phase (°)")
+    ]
+    columns = DECIBELS, np.degrees(ANGLE), DECIBELS + 20, np.degrees(ANGLE)
+    text(",".join(["Frequency (Hz)", *names]), HZ, *columns)(tmp_path / "a.csv")
+    with pytest.raises(InputError, match=r"several responses.*choose with a part of their names"):
+        load_machine(tmp_path / "a.csv")
+    for part, factor in (("Trace 1:", 1), ("Memory", 10)):
+        found = load_machine(tmp_path / "a.csv", response=part).accelerance.response
+        assert found == pytest.approx(factor * ACCELERANCE)
+
+
+@pytest.mark.parametrize("unit", ["N/(m/s^2)", "N/m", "N/mm", "N/(m/s)", "kN/um"])
+def test_an_apparent_mass_or_stiffness_is_refused_with_the_unit_of_its_inverse(tmp_path, unit):
+    text(f"frequency (Hz),magnitude ({unit}),phase (deg)", HZ, 1 / np.abs(ACCELERANCE), -np.degrees(ANGLE))(
+        tmp_path / "a.csv"
+    )
+    upper, lower = unit.replace("(", "").replace(")", "").split("/", 1)
+    with pytest.raises(InputError, match="the inverse of a response; give 1 over its numbers") as refused:
+        load_machine(tmp_path / "a.csv")
+    assert str(refused.value).endswith(f"name them so: {lower}/{upper}")
 
 
 def test_channels_of_one_name_are_told_apart_by_their_groups(tmp_path):

@@ -19,7 +19,7 @@ from stillwork.signals.densities import frequency_axis
 from stillwork.signals.headings import column_unit, heading, in_hertz
 from stillwork.signals.records import is_time, sampling_rate
 from stillwork.signals.spectra import response_arrays
-from stillwork.signals.units import DRIVES, MOVES, Reading, Unit, unit_factor
+from stillwork.signals.units import DRIVES, MOVES, Reading, Unit, meaning, unit_factor
 
 FORMS = (
     "a frequency response (frequency, and complex values or magnitude and phase), hammer records (force and "
@@ -321,11 +321,25 @@ def _require_known(names: Iterable[str]) -> None:
             and found.meaning.si not in HOLDS[found.quantity][1]
         ):
             found = replace(found, unknown=found.unit)  # counts of an accelerometer
-        if refusal := found.refusal(found.quantity or "real"):
+        refusal = found.refusal(found.quantity or "real")
+        if refusal and (inverse := _inverse(found.unknown)):
+            raise InputError(
+                f"{name}: {found.unknown!r} is a force over a motion, the inverse of a response; give 1 over its numbers, the "
+                f"phase with the other sign, and name them so: {inverse}"
+            )
+        if refusal:
             raise InputError(
                 f"{name}: {refusal}; give response_unit and force_unit where they differ from m/s^2 and N, and where this "
                 "column is not the response, a part of the name of the one that is, as response"
             )
+
+
+def _inverse(unit: str) -> str:
+    """The unit of the response of which one of a mass, a damper or a stiffness, such as N/(m/s^2), is the inverse; or nothing."""
+    upper, _, lower = unit.partition("/")
+    lower = lower.strip("()[] ")
+    turned = meaning(f"{lower}/{upper}")
+    return f"{lower}/{upper}" if turned and turned.ratio else ""
 
 
 def require_motion(taken: Iterable[Reading]) -> None:

@@ -12,6 +12,7 @@ SPELLINGS = (
     (r"\b(?:arg|phi)(?=\s*\()", "phase"),
     (r"^H_\{[^{}]*\}$", "H"),  # of python-control, with the names of output and input
     (r"(sample|sampling)(?=freq)", "$1 "),
+    (r"\((memory)\s*(\d*)\)", " $1 $2 "),  # behind the name of a trace: no unit
     (r"\b((?:acc|vel)[a-z]*(?:_?[xyz\d]+)?)_in_(s2?)$", "$1 in/$2"),  # inches; x_in_s is in seconds
 )
 NEGATED = (

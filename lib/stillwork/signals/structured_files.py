@@ -154,7 +154,7 @@ def _hdf5(path: Path) -> dict:
     def take(name: str, each: object) -> None:
         if not isinstance(each, h5py.Dataset):
             return
-        values, name = each[()], name.replace("/", ".")
+        values, name = each[()], _dotted(name)
         if each.dtype.names:  # a table, or complex numbers by their parts
             tree.update({f"{name}.{field}": values[field] for field in each.dtype.names})
             return
@@ -167,6 +167,14 @@ def _hdf5(path: Path) -> dict:
     with h5py.File(path) as file:
         file.visititems(take)
     return tree
+
+
+def _dotted(path: str) -> str:
+    """A path of groups with dots between them; a slash within brackets, which HDF5 takes for a group, is that of a unit."""
+    name = ""
+    for letter in path:
+        name += "." if letter == "/" and name.count("(") == name.count(")") else letter
+    return name
 
 
 def _kind(array: np.ndarray) -> str:
