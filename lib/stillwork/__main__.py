@@ -7,27 +7,12 @@ import sys
 for _name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
-from stillwork.base.checks import InputError  # noqa: E402
 from stillwork.base.command_line import Command, Option, flag, named, number, option, run, text  # noqa: E402
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run a command; returns the exit code (2 for wrong input, 130 when interrupted)."""
     return run("stillwork", COMMANDS, arguments)
-
-
-def new(kind: str, file: str) -> list[str]:
-    """Write templates of three machines (``new budget``) or of one on an isolator (``new isolate FILE``): one format."""
-    from stillwork.machine.machine_toml import new_budget, new_isolator
-
-    if kind == "budget" and not file:
-        return new_budget()
-    if kind == "isolate" and file:
-        return new_isolator(file)
-    raise InputError(
-        "new writes templates: new budget, or new isolate FILE; a result of a workbook is begun by "
-        "python -m workbook new TOPIC NAME"
-    )
 
 
 def _file(help: str) -> Option:
@@ -165,7 +150,7 @@ COMMANDS = {
         "compute how still a machine can be, what limits it and what to buy next, on one page",
         "stillwork.machine.budget:budget_file",
         (
-            option("machine", type=named, metavar="MACHINE.toml", help="templates: stillwork new budget"),
+            option("machine", type=named, metavar="MACHINE.toml", help="stillwork new writes a template"),
             option("--floor", default="", metavar="FILE", help="record or spectral densities of your floor"),
             option(
                 "--design", default="", metavar="DIR", help="written by design: use its stage and controller"
@@ -181,11 +166,16 @@ COMMANDS = {
         ),
     ),
     "new": Command(
-        "write templates: `new budget` of machines, `new isolate FILE` of an isolator",
-        "stillwork.__main__:new",
+        "write the commented template of a machine's TOML, which budget, isolate and design read",
+        "stillwork.machine.machine_toml:new_machine",
         (
-            option("kind", metavar="budget|isolate"),
-            option("file", nargs="?", default="", metavar="FILE", help="of the isolator"),
+            option("file", metavar="FILE.toml", help="a new file"),
+            option(
+                "--like",
+                default="wafer-stage",
+                metavar="NAME",
+                help="wafer-stage, microscope-stage, telescope-mirror or small-isolator: whose numbers it holds",
+            ),
         ),
     ),
     "retest": Command(

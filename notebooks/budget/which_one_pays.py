@@ -13,10 +13,10 @@ from experiments.budget.machine import (
     FLOORS,
     Assumed,
     floor,
+    level,
     machine,
     noises,
     on_every_floor,
-    parameters,
 )
 from stillwork.control.error_budget import ErrorBudget, UnstableLoop, error_budget
 from stillwork.control.floor_machine import FloorMachine, weak_integrator
@@ -53,7 +53,7 @@ def error(
 ) -> float:
     """Rms in m on a floor of `FLOORS` with a sensor in nm/sqrt(Hz)."""
     by_floor, others = powers_of(bought, payload, assumed)
-    scale = np.array([(1e-9 * sensor / parameters()["noise"]["sensor"]) ** 2, 1, 1, 1])
+    scale = np.array([(1e-9 * sensor / level("stage sensor")) ** 2, 1, 1, 1])
     return float(np.sqrt(by_floor[place] + others @ scale))
 
 
@@ -413,7 +413,7 @@ def velocity_errors(
             budget = velocity_powers(name, setting, bandwidth_hz, sample_s, delay)
             if budget is not None:
                 powers = budget.powers[:, 0].copy()
-                powers[len(FLOORS)] *= (1e-9 * sensor / parameters()["noise"]["sensor"]) ** 2
+                powers[len(FLOORS)] *= (1e-9 * sensor / level("stage sensor")) ** 2
                 rows.append(np.sqrt(powers[: len(FLOORS)] + powers[len(FLOORS) :].sum()))
         found[name] = np.min(rows, axis=0)
     return found

@@ -9,9 +9,10 @@ from experiments.budget.waterfall import paint_waterfall
 from stillwork.control.budget_sources import criterion_floor
 from stillwork.control.error_budget import ErrorBudget, UnstableLoop, error_budget
 from stillwork.control.pid import Pid, PidFamily
-from stillwork.machine.budget import MachineFile, nanometres, open_machine
+from stillwork.machine.budget import nanometres
+from stillwork.machine.budget_tables import MachineFile, open_machine
 from stillwork.machine.isolate import isolate_file
-from stillwork.machine.machine_toml import new_budget, new_isolator
+from stillwork.machine.machine_toml import new_machine
 from workbook import figures, paths
 
 
@@ -19,7 +20,7 @@ def open_own(file: str, floor: str) -> MachineFile:
     """Machine, sources and band of a TOML; without one those of the template of the wafer-like stage."""
     with TemporaryDirectory() as folder:
         if not file:
-            new_budget(folder)
+            new_machine(f"{folder}/wafer-stage.toml")
         return open_machine(file or f"{folder}/wafer-stage.toml", floor)  # the template names no other file
 
 
@@ -45,7 +46,7 @@ def chain(rate: float = 2000.0) -> dict[str, ErrorBudget]:
     slab = str(paths.data("isolation", "slab_footfall/slab_vertical.csv"))
     with TemporaryDirectory() as folder:
         file, written = f"{folder}/machine.toml", f"{folder}/isolator"
-        new_isolator(file)
+        new_machine(file, "small-isolator")
         isolate_file(file, slab, written, rate)
         designed, assumed = (open_machine(file, slab, isolate=each) for each in (written, ""))
         machines = {

@@ -6,6 +6,7 @@ import re
 import numpy as np
 import pytest
 
+from experiments.budget.machine import machine as notebooks_machine
 from stillwork.__main__ import main
 from stillwork.base.checks import InputError
 from stillwork.base.toml_files import read_toml
@@ -14,9 +15,9 @@ from stillwork.control.error_budget import error_budget, tone_response
 from stillwork.control.pid import PidFamily
 from stillwork.lti.discretisation import tustin
 from stillwork.machine import budget
-from stillwork.machine.budget import machine_of, measured_at, open_machine, sources_of
+from stillwork.machine.budget_tables import machine_of, measured_at, open_machine, sources_of
 from stillwork.machine.isolate import isolate_file, read_isolator
-from stillwork.machine.machine_toml import MACHINES, new_budget, new_isolator
+from stillwork.machine.machine_toml import MACHINES, new_machine
 from workbook import paths
 
 
@@ -24,7 +25,8 @@ from workbook import paths
 def files(tmp_path, monkeypatch):
     """The templates; without the page's picture, which is half of a run and painted once, at the command line."""
     monkeypatch.setattr(budget, "picture", lambda *_: "")
-    new_budget(str(tmp_path))
+    for name in MACHINES:
+        new_machine(str(tmp_path / f"{name}.toml"), name)
     return {name: tmp_path / f"{name}.toml" for name in MACHINES}
 
 
@@ -228,8 +230,13 @@ def test_bad_files_are_refused_by_name(old, fresh, message, files, tmp_path):
 
 def test_the_command_line_begins_templates_and_refuses_to_overwrite(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    assert main(["new", "budget"]) == 0 and len(list(tmp_path.glob("*.toml"))) == len(MACHINES)
-    assert main(["new", "budget"]) == 2
+    assert main(["new", "wafer-stage.toml"]) == 0
+    for wrong, said in (
+        (["wafer-stage.toml"], "exists"),
+        (["budget"], "ends in .toml"),
+        (["a.toml", "--like", "x"], "like"),
+    ):
+        assert main(["new", *wrong]) == 2 and said in capsys.readouterr().err
     assert main(["budget", "wafer-stage.toml"]) == 0
     assert "; to buy next: " in capsys.readouterr().out
     assert "<img" in (tmp_path / "wafer-stage.budget.html").read_text()
@@ -362,7 +369,7 @@ def test_a_density_that_states_another_unit_than_the_one_given_is_refused(tmp_pa
 
 def test_one_file_serves_both_commands_each_its_own_tables(tmp_path):
     """Each refuses what it does not know in its own tables and at the top, and leaves those of the other alone."""
-    new_isolator(str(tmp_path / "m.toml"))
+    new_machine(str(tmp_path / "m.toml"), "small-isolator")
     text = (tmp_path / "m.toml").read_text()
 
     def both(old, fresh):
@@ -380,30 +387,97 @@ def test_one_file_serves_both_commands_each_its_own_tables(tmp_path):
 
     assert both("[noise]", "[noise]") == ["", ""]
     own, other = both("suspension_hz", "suspension_hertz")
-    assert "'suspension_hertz'; did you mean 'suspension_hz'" in own and not other
+    assert "'suspension_hertz'; did you mean 'suspension_hz'" in own
+    assert "'suspension_hz' is missing; did you mean 'suspension_hertz'" in other  # it reads this line, too
+    own, other = both("skyhook_damping", "skyhook_dampin")
+    assert "'skyhook_dampin'; did you mean 'skyhook_damping'" in own and not other
     other, own = both("actuator_pole_hz", "actuator_pol_hz")
     assert "'actuator_pol_hz'; did you mean 'actuator_pole_hz'" in own and not other
     for one, wrong in (
         ("\n[isolator]", "\n[isolater]"),
         ("[controller]", "[controler]"),
-        ("notches_hz", "notch_hz"),
+        ("band_hz", "bands_hz"),
     ):
         named = re.sub(r"[\n\[\]]", "", wrong)
         assert all(f"unknown name {named!r}" in each for each in both(one, wrong))
-    suspended, isolator = (
+    taken, isolator = (
         open_machine(str(tmp_path / "m.toml")).machine,
         read_isolator(str(tmp_path / "m.toml"), 1e3)[0],
     )
-    assert suspended.frame_mass + suspended.stage_mass == pytest.approx(isolator.mass.item())
-    assert suspended.suspension[:2] == pytest.approx(
-        [isolator.stiffness.item(), isolator.damping.item()], rel=0.01
+    assert taken.frame_mass + taken.stage_mass == pytest.approx(isolator.mass.item())
+    assert taken.suspension[:2] == pytest.approx([isolator.stiffness.item(), isolator.damping.item()])
+
+
+@pytest.mark.parametrize(
+    ("command", "table"),
+    [
+        ("budget", "machine"),
+        ("budget", "controller"),
+        ("budget", "sources"),
+        ("isolate", "isolator"),
+        ("design", "decoupling"),
+    ],
+)
+def test_a_file_without_the_table_that_a_command_needs_is_refused_with_its_cure(
+    command, table, tmp_path, capsys
+):
+    new_machine(str(tmp_path / "m.toml"))
+    kept = re.sub(
+        rf"^\[{table}\b.*?(?=^\[(?!{table}\b)|\Z)", "", (tmp_path / "m.toml").read_text(), flags=re.M | re.S
     )
+    (tmp_path / "m.toml").write_text(kept)
+    more = {
+        "budget": [],
+        "isolate": ["f.csv", "--rate", "1e3", "--out", "o"],
+        "design": ["--rate", "1e3", "--out", "o"],
+    }
+    assert main([command, str(tmp_path / "m.toml"), *more[command]]) == 2
+    said = capsys.readouterr().err
+    assert f"m.toml: no table [{table}], which {command} reads" in said and "stillwork new FILE.toml" in said
+
+
+def test_a_name_of_a_table_that_stands_above_all_tables_is_sent_into_it(tmp_path):
+    new_machine(str(tmp_path / "m.toml"))
+    (tmp_path / "m.toml").write_text('response = "h.npz"\n' + (tmp_path / "m.toml").read_text())
+    with pytest.raises(
+        InputError, match=r"'response' stands above all tables; move it into \[isolator\] or \[decoupling\]"
+    ):
+        open_machine(str(tmp_path / "m.toml"))
+
+
+def test_two_machines_in_one_file_are_refused(tmp_path):
+    """The mechanics stand once: where [isolator] states them too, both tables must mean the same machine."""
+    new_machine(str(tmp_path / "m.toml"), "small-isolator")
+    text = (tmp_path / "m.toml").read_text()
+    alike = "[isolator]\nmass = 5.0\ndamping = 60.0\nstiffness = 8e4\n"
+    (tmp_path / "m.toml").write_text(text.replace("[isolator]", alike))
+    assert open_machine(str(tmp_path / "m.toml")).machine.frame_mass == 4.0
+    for old, fresh, name in (
+        ("8e4", "9e4", "stiffness"),
+        ("= 5.0", "= 4.0", "mass"),
+        ("60.0", "30.0", "damping"),
+    ):
+        (tmp_path / "m.toml").write_text(text.replace("[isolator]", alike.replace(old, fresh)))
+        for read in (open_machine, lambda file: read_isolator(file, 1e3)):
+            with pytest.raises(InputError, match=rf"{name} is .* in \[isolator\], but .* by \[machine\]"):
+                read(str(tmp_path / "m.toml"))
+
+
+def test_the_shipped_machine_is_read_by_the_commands_and_is_that_of_the_notebooks(tmp_path):
+    file = str(paths.data("budget", "machine.toml"))
+    taken, isolator = open_machine(file).machine, read_isolator(file, 5e3)[0]
+    assert np.ravel([isolator.mass, isolator.stiffness, isolator.damping]) == pytest.approx(
+        [taken.frame_mass + taken.stage_mass, *taken.suspension[:2]]
+    )
+    theirs = notebooks_machine(skyhook=True, feedforward=True)
+    networks = taken.network(), theirs.network()
+    np.testing.assert_allclose(*(each.paths(np.geomspace(1, 3e3, 50)) for each in networks), rtol=1e-6)
 
 
 @pytest.mark.slow
 def test_a_written_isolator_leaves_in_the_budget_what_its_c_left_on_the_record(tmp_path):
     """Of a stage that weighs nothing: the frame's motion over frequency against the C that ran through the record."""
-    new_isolator(str(tmp_path / "m.toml"))
+    new_machine(str(tmp_path / "m.toml"), "small-isolator")
     change(
         tmp_path / "m.toml",
         ("stage_mass_kg = 1.0", "stage_mass_kg = 0.001"),

@@ -46,7 +46,7 @@ from stillwork.machine.isolation_design import (
     paths_through,
     try_loop,
 )
-from stillwork.machine.machine_toml import new_isolator
+from stillwork.machine.machine_toml import new_machine
 from stillwork.machine.path_fit import fit_path
 from stillwork.machine.settling import Learning
 from workbook import paths
@@ -516,7 +516,9 @@ def test_a_measured_response_gives_the_isolator_and_is_what_the_path_is_judged_o
     lines = isolate_file(str(tmp_path / "h.npz"), floor, str(tmp_path / "out"), RATE, verbose=True)
     assert any("fitted to 600 lines" in each for each in lines)
     wrong = "[estimate]\nstiffness = " + repr((9 * true.stiffness).tolist())
-    (tmp_path / "m.toml").write_text('response = "h.npz"\n' + true.toml(wrong))
+    (tmp_path / "m.toml").write_text(
+        true.toml(wrong).replace("[isolator]", '[isolator]\nresponse = "h.npz"', 1)
+    )
     with pytest.raises(InputError, match="90 degrees"):
         isolate_file(str(tmp_path / "m.toml"), floor, str(tmp_path / "wrong"), RATE)
     assert not (tmp_path / "wrong").exists()
@@ -542,7 +544,7 @@ stiffness = [[1080e3, 72e3], [72e3, 1440e3]]
 @pytest.mark.slow
 def test_an_accepted_limit_is_not_reached_on_the_record_itself(tmp_path):
     """The slab under footfall: a crest of five, and a limit of four times the rms cost six times the highest motion."""
-    new_isolator(str(tmp_path / "m.toml"))
+    new_machine(str(tmp_path / "m.toml"), "small-isolator")
     slab = paths.data("isolation", "slab_footfall/slab_vertical.csv")
     files = str(tmp_path / "m.toml"), str(slab), str(tmp_path / "out")
     rate = 2000.0
@@ -808,7 +810,7 @@ def test_a_floor_that_may_spoil_the_adaptation_is_reported_before_a_design(tmp_p
 @pytest.mark.slow
 def test_the_guide_is_what_the_command_takes_and_does(tmp_path):
     guide = (paths.root() / "docs" / "isolate.md").read_text(encoding="utf-8")
-    new_isolator(str(tmp_path / "m.toml"))
+    new_machine(str(tmp_path / "m.toml"), "small-isolator")
     template = (tmp_path / "m.toml").read_text().splitlines()
     assert set(re.search(r"```toml\n(.+?)```", guide, re.DOTALL)[1].splitlines()) <= {*template, ""}
     files = str(tmp_path / "m.toml"), write_floor(tmp_path, flat()), str(tmp_path / "out")

@@ -123,7 +123,7 @@ def test_a_geometry_is_taken_with_more_sensors_than_axes(tmp_path, untuned):
     np.savez(
         tmp_path / "plant.npz", **{"frequency (Hz)": HZ, "h (m/s^2/N)": accelerance(omega, ratio, out, into)}
     )
-    text = f'response = "plant.npz"\n[decoupling]\naxes = ["z", "tilt"]\nsensing = {sensing.tolist()}\n'
+    text = f'[decoupling]\nresponse = "plant.npz"\naxes = ["z", "tilt"]\nsensing = {sensing.tolist()}\n'
     (tmp_path / "my.toml").write_text(text + 'units = [["m", "N"], ["rad", "N m"]]\n')
     said = design_file(str(tmp_path / "my.toml"), str(tmp_path / "machine"), RATE, uncertainty=BOX)
     radius, peaks = closed_loop(sampled(omega, ratio, out, into), tmp_path / "machine")
@@ -146,7 +146,7 @@ def test_what_is_missing_of_a_geometry_is_named(tmp_path):
         ("outputs = ['1', '2', '4']", "name them alike"),
         ("sensing = [[1.0, 0, 0], [0, 1.0, 0]]\naxes = ['z']", "1 and 2 of 2 axes"),
     ):
-        (tmp_path / "my.toml").write_text(f'response = "plant.npz"\n[decoupling]\n{text}\n')
+        (tmp_path / "my.toml").write_text(f'[decoupling]\nresponse = "plant.npz"\n{text}\n')
         with pytest.raises(InputError, match=message):
             design_file(str(tmp_path / "my.toml"), str(tmp_path / "out"), RATE)
     assert not (tmp_path / "out").exists()
@@ -157,7 +157,7 @@ def test_the_order_of_a_geometry_is_stated_or_clear(tmp_path):
     named = {f"y{10 - o}/u{i + 1} (m/s^2/N)": seen[:, o, i] for o in range(2) for i in range(2)}
     np.savez(tmp_path / "plant.npz", **{"frequency (Hz)": HZ}, **named)
     toml = tmp_path / "my.toml"
-    text = 'response = "plant.npz"\n[decoupling]\nsensing = [[1.0, 0.0], [0.0, 2.0]]\n'
+    text = '[decoupling]\nresponse = "plant.npz"\nsensing = [[1.0, 0.0], [0.0, 2.0]]\n'
     toml.write_text(text)
     with pytest.raises(InputError, match=r'outputs = \["y10", "y9"\]'):
         read_axes(str(toml), {})
@@ -171,8 +171,8 @@ def test_a_given_axis_that_moves_against_its_force_is_refused_and_not_turned(tmp
     seen = accelerance(omega, ratio, out, into)
     np.savez(tmp_path / "plant.npz", **{"frequency (Hz)": HZ, "h (m/s^2/N)": seen})
     sensing, actuation = np.linalg.inv(out[:, :2]), np.linalg.inv(into[:2]) * [1.0, -1.0]
-    text = f"[decoupling]\nsensing = {sensing.tolist()}\nactuation = {actuation.tolist()}\n"
-    (tmp_path / "my.toml").write_text(f'response = "plant.npz"\n{text}')
+    text = f"sensing = {sensing.tolist()}\nactuation = {actuation.tolist()}\n"
+    (tmp_path / "my.toml").write_text(f'[decoupling]\nresponse = "plant.npz"\n{text}')
     with pytest.raises(InputError, match="axis 2, as given: it moves against its force; turn the signs"):
         design_file(str(tmp_path / "my.toml"), str(tmp_path / "out"), RATE)
 

@@ -252,7 +252,7 @@ PARTS = {
     *("moving_paths", "density_through", "jitter_density", "record_grid", "through"),
 }
 FOLDERS = ("signals", "lti", "identification", "estimation", "control", "machine")
-COMMANDS = "axes axes_loops budget budget_isolator design desk design_page designed_loop desk_page export hardware html_page inspect isolate machine_toml noisy_peak pictures progress promise replay report retest settling waiting".split()
+COMMANDS = "axes axes_loops budget budget_isolator budget_tables design desk design_page designed_loop desk_page export hardware html_page inspect isolate machine_toml noisy_peak pictures progress promise replay report retest settling waiting".split()
 
 
 def public_callables():

@@ -16,6 +16,7 @@ from stillwork.control.pid import PidFamily
 from stillwork.estimation.observer import NoiseIntensities
 from stillwork.lti.modal import ModalModel, modal_model
 from stillwork.lti.state_space import StateModel
+from stillwork.machine.budget_tables import PLACES, MachineFile, open_machine
 from stillwork.signals.records import load_record
 from stillwork.signals.spectra import estimate_spectrum
 from workbook import paths
@@ -40,13 +41,20 @@ AS_FILED = Assumed()
 
 
 @cache
+def filed() -> MachineFile:
+    """The machine's file, which the commands read, too."""
+    return open_machine(str(paths.data("budget", "machine.toml")))
+
+
+@cache
 def parameters() -> Table:
-    return read_toml(paths.data("budget", "machine.toml"))
+    """Of its stage, and of the methods that are tried on it."""
+    return read_toml(paths.data("budget", "methods.toml"))
 
 
 @cache
 def stage(position: int = 0) -> ModalModel:
-    """Free stage of the thesis: force on the actuator mass to the position of one other, 0: the file's."""
+    """Free stage of the thesis: force on the actuator mass to the position of one other, 0: that of the machine's file."""
     p = parameters().table("stage")
     n = p["masses"] + 1
     springs = np.array([p["actuator_stiffness"], *[p["stiffness"]] * (n - 2)])
@@ -55,6 +63,15 @@ def stage(position: int = 0) -> ModalModel:
     at = position or p["position"]
     stiffness = difference.T @ (springs[:, None] * difference)
     return modal_model(mass, stiffness, places[:, :1], places[at : at + 1], p["damping_ratio"])
+
+
+def level(place: str) -> float:
+    """Root of the density of the noise that the file has at a place, in the place's unit per root Hz."""
+    return next(
+        float(np.sqrt(each._at(np.ones(1))[0, 0].real[0]))
+        for each in filed().sources
+        if each.places == (place,)
+    )
 
 
 @cache
@@ -86,24 +103,19 @@ def machine(
 
     A `payload` (kg) stands on the frame; the springs stay.
     """
-    p, law = parameters().table("isolator"), parameters().table("bandwidth")
-    vertical = p["struts"] * np.cos(np.radians(p["tilt_deg"])) ** 2
-    stiffness, damping = p["strut_stiffness"] * vertical, p["strut_damping"] * vertical
-    frame = assumed.frame * p["frame_mass"] + payload
-    plant = stage(position)
-    own = float(1 / (plant.input_shapes[0, 0] * plant.output_shapes[0, 0]))
-    omega = np.sqrt(stiffness / (frame + own))
-    decibels = assumed.feedforward_db or p["feedforward_db"]
-    return FloorMachine(
-        frame,
-        omega / (2 * np.pi),
-        assumed.damper * damping / (2 * omega * (frame + own)),
-        plant,
-        PidFamily(own)(bandwidth_hz or law["design_share"] * law[used]),
+    built, law = replace(filed().machine, stage=stage(position)), parameters().table("bandwidth")
+    frame = assumed.frame * built.frame_mass + payload
+    lighter = np.sqrt((built.frame_mass + built.stage_mass) / (frame + built.stage_mass))
+    cancelled = 1 - 10 ** (-assumed.feedforward_db / 20) if assumed.feedforward_db else built.feedforward
+    return replace(
+        built,
+        frame_mass=frame,
+        suspension_hz=lighter * built.suspension_hz,
+        suspension_damping=assumed.damper * lighter * built.suspension_damping,
+        controller=PidFamily(built.stage_mass)(bandwidth_hz or law["design_share"] * law[used]),
         compensator=observer(used, position, sample_time, delay),
-        skyhook=p["skyhook"] if skyhook else 0.0,
-        feedforward=1 - 10 ** (-decibels / 20) if feedforward else 0.0,
-        integrator_hz=p["integrator_hz"],
+        skyhook=built.skyhook if skyhook else 0.0,
+        feedforward=cancelled if feedforward else 0.0,
         sample_time=sample_time,
         delay=delay,
     )
@@ -128,12 +140,13 @@ def floor(name: str) -> Source:
 
 def noises(sensor: float | None = None, factor: float = 1.0) -> list[Source]:
     """What acts beside the floor; of the stage's `sensor` in m/sqrt(Hz), the others by a factor on what is assumed."""
-    p = parameters().table("noise")
+    own_level = level("stage sensor") if sensor is None else sensor
     return [
-        white("stage sensor", "stage sensor", "m", p["sensor"] if sensor is None else sensor),
-        white("stage drive", "stage drive", "N", factor * p["drive"]),
-        white("floor sensor", "floor sensor", "m/s^2", factor * p["floor_sensor"]),
-        white("frame sensor", "frame sensor", "m/s^2", factor * p["frame_sensor"]),
+        white("stage sensor", "stage sensor", "m", own_level),
+        *(
+            white(name, name, PLACES[name], factor * level(name))
+            for name in ("stage drive", "floor sensor", "frame sensor")
+        ),
     ]
 
 

@@ -6,7 +6,7 @@ from itertools import cycle, product
 
 import numpy as np
 
-from experiments.budget.machine import BAND_HZ, FLOORS, budget_of, machine, noises, parameters
+from experiments.budget.machine import BAND_HZ, FLOORS, budget_of, filed, level, machine, noises, parameters
 from experiments.budget.machine import floor as source_of
 from stillwork.control.error_budget import ErrorBudget, UnstableLoop, error_budget
 from stillwork.control.floor_machine import FloorMachine
@@ -110,7 +110,7 @@ def _with_sensor(budget: ErrorBudget, sensor: float) -> ErrorBudget:
     """A budget with another noise of the stage's sensor, whose density is its square's."""
     row = budget.names.index("stage sensor")
     density = budget.density.copy()
-    density[row] *= (sensor / parameters().table("noise")["sensor"]) ** 2
+    density[row] *= (sensor / level("stage sensor")) ** 2
     return replace(budget, density=density)
 
 
@@ -129,7 +129,7 @@ def presets() -> dict[str, dict]:
         "slab, all methods": {"floor": "slab under footfall", **fast},
         "LIGO ground": {"floor": "LIGO ground"},
         "LIGO ground, all methods": {"floor": "LIGO ground", **fast},
-        "ten times the sensor's noise": {"sensor_nm": 1e10 * p["noise"]["sensor"]},
+        "ten times the sensor's noise": {"sensor_nm": 1e10 * level("stage sensor")},
     }
 
 
@@ -139,6 +139,8 @@ def controls() -> dict:
     return {
         "floor": Choice(FLOORS, "VC-C", basis="assumed"),
         "bandwidth_hz": Slider(15.0, 100.0, 0.95 * p["bandwidth"]["PID"], "Hz", basis="assumed"),
-        "sensor_nm": Slider(0.01, 30.0, 1e9 * p["noise"]["sensor"], "nm/√Hz", log=True, basis="assumed"),
-        "feedforward_db": Slider(0.0, 50.0, p["isolator"]["feedforward_db"], "dB", basis="assumed"),
+        "sensor_nm": Slider(0.01, 30.0, 1e9 * level("stage sensor"), "nm/√Hz", log=True, basis="assumed"),
+        "feedforward_db": Slider(
+            0.0, 50.0, filed().entries["controller"]["feedforward_db"], "dB", basis="assumed"
+        ),
     }

@@ -31,7 +31,7 @@ from stillwork.machine.designed_loop import DesignedLoop, load_design
 from stillwork.machine.export import require_free
 from stillwork.machine.html_page import page, picture, table
 from stillwork.machine.inspect import inspect_file
-from stillwork.machine.machine_toml import open_machine_toml
+from stillwork.machine.machine_toml import KNOWN, open_machine_toml, own_table
 
 SLOWER = 0.97  # of a bandwidth that would just do
 LEAST = 0.05  # of a bandwidth, the least share that is tried
@@ -54,12 +54,12 @@ class Wanted(NamedTuple):
 
 
 def read_axes(file: str, load_options: Mapping) -> Wanted | None:
-    """The matrix response of a file, or of a machine's TOML with ``response`` and [decoupling]; None where it is none."""
+    """The matrix response of a file, or of [decoupling] in a machine's TOML; None where it is none."""
     path, table = Path(file), Table({}, file)
     if path.suffix.lower() == ".toml":
-        machine = open_machine_toml(path)
-        table, path = machine.table("decoupling"), path.parent / str(machine["response"])
-        table.require_known(("sensing", "actuation", "axes", "units", "outputs", "inputs"))
+        table = own_table(open_machine_toml(path), "decoupling", "design")
+        table.require_known(KNOWN["decoupling"])
+        path = path.parent / str(table["response"])
     if load_options.get("response"):
         return None
     matrix = load_matrix(path, load_options.get("response_unit", ""), load_options.get("force_unit", ""))

@@ -160,7 +160,7 @@ def design_file(
     Parameters
     ----------
     files : str or sequence of str
-        See `load_machine`. A matrix response, or a TOML with its ``response`` and a table [decoupling], is decoupled into
+        See `load_machine`. A matrix response, or a TOML whose table [decoupling] names it, is decoupled into
         axes, see `design_axes`. Several files hold the same machine at other positions or with other loads: the observer is
         made for the first; the constraints hold for all of them, and in the box around each.
     folder : str

@@ -46,7 +46,7 @@ from stillwork.machine.isolation_design import (
     settling_time,
 )
 from stillwork.machine.isolation_prediction import IsolationPrediction, predict, with_noise
-from stillwork.machine.machine_toml import open_machine_toml
+from stillwork.machine.machine_toml import KNOWN, open_machine_toml, own_table, suspended
 from stillwork.machine.path_fit import PathFit, fit_path
 from stillwork.machine.replay import Replay, paint_replay, replay_rows, require_kept
 from stillwork.machine.settling import Learning, paint_learning, settle_on_record
@@ -69,7 +69,6 @@ SLOWEST_HZ = 0.02  # lowest frequency at which a floor is judged, and the resolu
 SLOW_RATIO = 5.0  # of slow motion per root Hz over that in band, above which it is reported (chosen)
 LISTENED_S = 60.0  # duration over which the motion predicted by spectra is judged
 PAUSES = 5.0  # of the band's slowest time constant, for which the weights are kept after the limit acted
-MECHANICS = ("mass", "damping", "stiffness", "actuator_pole_hz", "delay_s", "floor")
 
 
 def isolate_file(
@@ -456,11 +455,11 @@ def read_isolator(file: str, rate: float):
     """Isolator, the controller's estimate of it, its measured response or None, frequencies to notch in Hz, and notes.
 
     The file is TOML with [isolator] (``mass`` in kg, ``damping`` in N s/m and ``stiffness`` in N/m along the actuators, a
-    number or a matrix; ``actuator_pole_hz``; ``delay_s`` from sample to force, by default one sample; ``floor``, the motion
-    of each axis's foot per floor sensor, by default one sensor for each) and optionally [noise] (``floor`` and
-    ``platform``, m/s^2/sqrt(Hz)), [estimate] (values of the mechanics other than delay and floor that the controller
-    assumes instead), ``response`` (a file, in the same folder, of the measured response) and ``notches_hz``. Or it is the
-    measured response alone: then the mechanics are fitted to it.
+    number or a matrix, of one axis by default those of [machine]; ``actuator_pole_hz``; ``delay_s`` from sample to force, by
+    default one sample; ``floor``, the motion of each axis's foot per floor sensor, by default one sensor for each;
+    ``notches_hz``; ``response``, a file in the same folder of the measured response, to which what is left out is fitted)
+    and optionally [noise] (``floor`` and ``platform``, m/s^2/sqrt(Hz)) and [estimate] (values of the mechanics other than
+    delay and floor that the controller assumes instead). Or it is the measured response alone.
     """
     path = Path(file)
     if path.suffix.lower() != ".toml":
@@ -475,31 +474,45 @@ def read_isolator(file: str, rate: float):
         )  # fmt: skip
         return own, own, (f, seen), (), notes
     whole = open_machine_toml(file)
-    noise = whole.table("noise") if "noise" in whole else Table({}, whole.where)
-    noise.require_known(("floor", "platform"))
+    own = own_table(whole, "isolator", "isolate")
+    own.require_known(KNOWN["isolator"])
+    noise, other = (
+        whole.table(name) if name in whole else Table({}, whole.where) for name in ("noise", "estimate")
+    )
+    noise.require_known(KNOWN["noise"])
+    other.require_known(KNOWN["estimate"])  # the filters invert no delay, and the floor's path is learnt
     notes, measured = [], None
-    if "response" in whole:
-        f, seen, notes = read_response(path.parent / str(whole["response"]))
+    if "response" in own:
+        f, seen, notes = read_response(path.parent / str(own["response"]))
         measured = f, seen
-    if "isolator" not in whole and measured:
-        fitted = _fitted(*measured, rate, notes)
-        given: dict = {name: getattr(fitted, name) for name in ("mass", "damping", "stiffness")}
-        given |= {"actuator_pole_hz": fitted.actuator_pole / (2 * np.pi), "delay_s": fitted.delay}
-        table_of = Table(given | ({"floor": whole["floor"]} if "floor" in whole else {}), whole.where)
-    else:
-        table_of = whole.table("isolator")
-    isolator = _mechanics(table_of, noise, rate)
-    estimate = isolator
-    if "estimate" in whole:
-        other = whole.table("estimate")
-        other.require_known(MECHANICS[:4])  # the filters invert no delay, and the floor's path is learnt
-        estimate = _mechanics(Table({**table_of, **other}, whole.where), noise, rate)
-    notches = require_array("notches_hz", whole.get("notches_hz", []), ndim=1).tolist()
+    table_of = Table({**_mechanics_of(whole, own, measured, rate, notes), **own}, own.where)
+    isolator = _isolator(table_of, noise, rate)
+    estimate = _isolator(Table({**table_of, **other}, whole.where), noise, rate) if other else isolator
+    notches = require_array("notches_hz", own.get("notches_hz", []), ndim=1).tolist()
     if measured is not None and measured[1].shape[1] != isolator.axes:
         raise InputError(
             f"response is of {measured[1].shape[1]} axes, the isolator has {isolator.axes}; give the same"
         )
     return isolator, estimate, measured, tuple(notches), notes
+
+
+def _mechanics_of(whole: Table, own: Table, measured, rate: float, notes: list[str]) -> dict:
+    """What [isolator] leaves out of the mechanics: of a measured response fitted to it, else by [machine]."""
+    if {"mass", "damping", "stiffness"} & {*own}:
+        return {}
+    if measured is None:
+        if "machine" not in whole:
+            raise InputError(
+                f"{own.where}: holds neither mass, damping and stiffness nor a response, and the file no table [machine]; "
+                "give one of the three"
+            )
+        return suspended(whole)
+    fitted = _fitted(*measured, rate, notes)
+    return {
+        **{name: getattr(fitted, name) for name in ("mass", "damping", "stiffness")},
+        "actuator_pole_hz": fitted.actuator_pole / (2 * np.pi),
+        "delay_s": fitted.delay,
+    }
 
 
 def _fitted(f: np.ndarray, seen: np.ndarray, rate: float, notes: list[str]) -> PathFit:
@@ -509,9 +522,8 @@ def _fitted(f: np.ndarray, seen: np.ndarray, rate: float, notes: list[str]) -> P
     return fitted
 
 
-def _mechanics(given: Table, noise: Table, rate: float) -> Isolator:
-    given.require_known(MECHANICS)
-    read = (require_array(name, given[name]) for name in MECHANICS[:3])
+def _isolator(given: Table, noise: Table, rate: float) -> Isolator:
+    read = (require_array(name, given[name]) for name in ("mass", "damping", "stiffness"))
     mass, damping, stiffness = (each if each.ndim == 2 else np.diag(np.atleast_1d(each)) for each in read)
     return Isolator(
         mass,
