@@ -5,7 +5,7 @@ import pytest
 
 from experiments.fixedpoint.oscillator import load_oscillator
 from notebooks.fixedpoint import controllers_beside as beside
-from stillwork.control import regressor
+from stillwork.control.regressor import regressor_at
 
 
 def kinetic(machine, q, v):
@@ -69,7 +69,7 @@ def test_an_arm_is_its_energy(name, rng):
             for d, e in ((1e-6, 0.0), (0.0, 1e-6))
         ]
         assert weight[-2:] == pytest.approx(slope, abs=1e-6)
-        assert regressor(model, q, v, v, a) @ model.parameters == pytest.approx(model.force(q, v, a))
+        assert regressor_at(model, q, v, v, a) @ model.parameters == pytest.approx(model.force(q, v, a))
 
 
 def test_a_payload_is_a_point_at_the_end(rng):

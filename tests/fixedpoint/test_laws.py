@@ -14,11 +14,11 @@ from stillwork.control import (
     Mechanism,
     SlotineLi,
     asin_trajectory,
-    regressor,
     simulate_adaptive,
     simulate_mechanism,
 )
 from stillwork.control.fixed_point_linear import linear_loop
+from stillwork.control.regressor import regressor_at
 from stillwork.estimation import LowPass
 from stillwork.estimation.coordinate_filters import MovingWindow
 
@@ -101,13 +101,13 @@ def test_the_regressor_holds_christoffel_s_matrix_whose_rest_is_skew(arm, rng):
         C = christoffel(model, q, v)
         weight = model.force(q, np.zeros(2), np.zeros(2))
         friction = model.parameters[5:] * v
-        assert regressor(model, q, v, w, a) @ model.parameters == pytest.approx(
+        assert regressor_at(model, q, v, w, a) @ model.parameters == pytest.approx(
             model.mass(q) @ a + C @ w + weight + friction, abs=1e-8
         )
-        assert regressor(model, q, v, v, a) @ model.parameters == pytest.approx(model.force(q, v, a))
+        assert regressor_at(model, q, v, v, a) @ model.parameters == pytest.approx(model.force(q, v, a))
         change = (model.mass(q + 1e-5 * v) - model.mass(q - 1e-5 * v)) / 2e-5
         columns = [
-            (regressor(model, q, v, e, np.zeros(2)) - regressor(model, q, v, 0 * e, np.zeros(2)))
+            (regressor_at(model, q, v, e, np.zeros(2)) - regressor_at(model, q, v, 0 * e, np.zeros(2)))
             @ model.parameters
             for e in np.eye(2)
         ]
@@ -132,7 +132,7 @@ def test_slotine_and_li_s_energy_falls_at_its_rate_and_samples_converge_to_it(ar
         e, slip = qn - q, vn - v
         w, dw = vn + 2 * rate * e + rate**2 * integral, an + 2 * rate * slip + rate**2 * e
         believed = Mechanism(lumped_inertia, lumped_bias, 2, p)
-        Y = regressor(model, q, v, w, dw)
+        Y = regressor_at(model, q, v, w, dw)
         force = believed.mass(q) @ dw + christoffel(believed, q, v) @ w + K * (w - v)
         force += believed.force(q, np.zeros(2), np.zeros(2)) + p[5:] * v
         return w - v, e, force, Gamma * (Y.T @ (w - v))

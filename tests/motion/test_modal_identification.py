@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import find_peaks
 
 from experiments.motion.machines import measured_accelerance
-from stillwork.identification.complex_frequency import complex_frequency_poles
+from stillwork.identification.complex_frequency import _poles, _sums
 from stillwork.identification.frequency_response import Identified
 from stillwork.identification.machine import build_machine, remove_delay
 from stillwork.identification.machine_files import load_machine
@@ -71,7 +71,7 @@ def test_poles_are_those_of_the_dense_equations():
     companion[-inputs:] = -np.hstack(list(below))
     wanted = np.log(np.linalg.eigvals(companion).astype(complex)) * 100 / np.pi
     wanted = np.sort_complex(wanted[wanted.imag > 0] + 100j)
-    found = np.sort_complex(complex_frequency_poles(omega, response, weight, order))
+    found = np.sort_complex(_poles(_sums(omega, response, weight, order), order, omega))
     assert found == pytest.approx(wanted, rel=1e-6)
 
 

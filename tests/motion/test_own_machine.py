@@ -10,7 +10,7 @@ import pytest
 from motion.true_machines import CompiledLoop, TrueMachine, machine_of_matrices
 from stillwork.__main__ import main
 from stillwork.control.applications import Application
-from stillwork.control.bandwidth import make_loop
+from stillwork.control.bandwidth import PeakConstraint, make_loop
 from stillwork.control.digital import error_driven, runnable
 from stillwork.control.machine_loops import DesignSettings, Intensities, SearchSettings, reach
 from stillwork.control.phased_loops import phased_loop
@@ -18,8 +18,8 @@ from stillwork.control.pid import PidFamily
 from stillwork.control.uncertainty import (
     Perturbation,
     Uncertainty,
+    make_box,
     perturbed_loop,
-    worst_place,
 )
 from stillwork.identification.frequency_response import Identified
 from stillwork.identification.machine import build_machine
@@ -102,7 +102,8 @@ def test_the_worst_friction_is_the_worst_of_a_scan():
         rows = [0.0, 200.0], [0.0, 0.02], [[1.0], [0.7]], [[0.2, 0.1]], [[0.0]]
         plant = ModalModel(*map(np.array, rows), drag=drag)
         loop = make_loop(plant)
-        size, worst = worst_place(loop, pid, "output_sensitivity", Uncertainty(friction=spread))
+        box = make_box(loop, Uncertainty(friction=spread))
+        ((size, worst),) = box.worst(loop, pid, [PeakConstraint("output_sensitivity")], every=True)
         scan = np.linspace(max(drag - spread, 0.0), drag + spread, 60)[:, None]
         whole = 0.2 / (s * (s + scan)) + 0.07 / (s**2 + 8 * s + 4e4)
         most = np.abs(1 / (1 + controller * whole)).max()

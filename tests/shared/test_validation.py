@@ -222,7 +222,7 @@ def test_what_a_readers_own_function_returns_is_asked():
 
 # What asks each value itself: the checks, what a loop calls for each of its samples, the interface of scikit-learn.
 OWN_DOORS = re.compile(
-    r"\w+\.converted|matrices|minimal|fields_of_modes|response_arrays|load_machine|least_squares_code|from_control|require_(noise|covariance|per_sample|sample_time|squares|finite_squares|floor_level)|(Adaptation|Recursive)Stepper\.(update|skip)|(\w+Regressor|LeastMeanSquares)\.((partial_)?fit|predict|score|[gs]et_params)"
+    r"\w+\.converted|matrices|minimal|fields_of_modes|response_arrays|load_machine|least_squares_code|from_control|require_(noise|covariance|per_sample|sample_time|squares|finite_squares|floor_level)|(Adaptation|Recursive)Stepper\.update|(\w+Regressor|LeastMeanSquares)\.((partial_)?fit|predict|score|[gs]et_params)"
 )
 # What hands the parts of a recursion to its kernels, a sample at a time: `track` and the steppers have asked before.
 PARTS = {

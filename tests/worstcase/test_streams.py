@@ -189,9 +189,6 @@ def test_estimate_and_covariance_are_those_of_weighted_least_squares(
     assume(used.any())
     expected = A[used] @ np.linalg.lstsq(wanted, target)[0]
     assert made.predict(X[used]) == pytest.approx(expected, rel=1e-8, abs=1e-8)
-    if len(wanted) >= A.shape[1] and np.linalg.cond(wanted) < 1e3:
-        covariance = np.linalg.inv(wanted.T @ wanted)
-        assert np.abs(made.covariance_ - covariance).max() < 1e-7 * np.abs(covariance).max()
 
 
 @settings(max_examples=30)

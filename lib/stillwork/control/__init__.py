@@ -27,11 +27,10 @@ __all__, __getattr__, __dir__ = lazy_exports(
         "loops": ("closed_loop",),
         "mechanism": ("Mechanism",),
         "pid": ("PidFamily",),
-        "regressor": ("regressor",),
         "setpoint": ("MoveLimits", "plan_move", "point_to_point"),
         "trajectory": ("asin_trajectory",),
         "transformation": ("DisturbanceObserver", "FlowTransformation"),
         "uncertain_modes": ("uncertain_channel",),
-        "uncertainty": ("Uncertainty", "worst_place"),
+        "uncertainty": ("Uncertainty",),
     },
 )

@@ -9,11 +9,11 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from stillwork.base.bounds import NonNegative, one_of, within
+from stillwork.base.bounds import NonNegative, within
 from stillwork.base.checks import Converted, InputError, require_array, require_choice, require_number
 from stillwork.base.kernels import kernel
 from stillwork.base.validation import by_value, check_fields, checked
-from stillwork.control.bandwidth import FUNCTIONS, Loop, PeakConstraint, loop_grid, make_loop
+from stillwork.control.bandwidth import Loop, PeakConstraint, loop_grid, make_loop
 from stillwork.control.pid import Pid
 from stillwork.identification.machine import Machine
 from stillwork.lti.delays import split_delay
@@ -213,76 +213,6 @@ def corners(uncertainty: Uncertainty) -> list[Perturbation]:
         Perturbation(1 + sign * uncertainty.frequency, ones, 1 - uncertainty.damping, gain, uncertainty.delay)
         for sign in (-1, 1)
     ]
-
-
-@checked
-def worst_place(
-    loop: Loop, controller: Pid, function: Annotated[str, one_of(FUNCTIONS)], uncertainty: Uncertainty
-) -> tuple[float, Perturbation]:
-    """Largest magnitude of a loop function over the box, and the point at which it occurs.
-
-    At each frequency of a grid the box's numbers are moved one after the other to where the magnitude is largest, from
-    several starts: a mode's frequency and damping over a list of places, dense at its width, the friction over another,
-    its part, the gain and the mass by the closed form of a ratio of quadratics. As a bounded sensitivity never lets the loop pass -1, the
-    loop is stable in the whole box when it is in its middle.
-
-    Parameters
-    ----------
-    loop : Loop
-        On a model.
-    controller : Pid
-    function : str
-        One of `FUNCTIONS`.
-    uncertainty : Uncertainty
-
-    Returns
-    -------
-    tuple
-        The magnitude, and the `Perturbation`.
-
-    Raises
-    ------
-    InputError
-        When the box does not fit the plant.
-
-    Examples
-    --------
-    >>> stage = lti.ModalModel([0.0, 600.0], [0.0, 0.01], [[0.3], [0.3]], [[0.3, -0.3]], [[0.0]])
-    >>> loop, pid = control.make_loop(stage), control.PidFamily(11.0)(15.0)
-    >>> box = control.Uncertainty(frequency=0.05)
-    >>> size, place = control.worst_place(loop, pid, "input_sensitivity", box)
-    >>> bool(size > loop.peak(pid, "input_sensitivity").magnitude), place.frequencies  # lower is worse
-    (True, array([1.  , 0.95]))
-    """
-    box = make_box(loop, uncertainty)
-    ((_, place),) = box.worst(loop, controller, [PeakConstraint(function)], every=True)
-    return _refined(loop, controller, function, uncertainty._of_modes(loop.plant), place)
-
-
-def _refined(loop, controller, function, uncertainty, place) -> tuple[float, Perturbation]:
-    """The place with each mode's frequency moved, within its width, to where the peak itself is largest."""
-    from scipy.optimize import minimize_scalar
-
-    def size(moved):
-        return perturbed_loop(loop, moved).peak(controller, function).magnitude
-
-    best = size(place), place
-    for k in np.flatnonzero(uncertainty.frequency):
-        share, now = uncertainty.frequency[k], best[1].frequencies[k]
-        width = max(4 * loop.plant.damping[k], 1e-7)
-        ends = max(now * (1 - width), 1 - share), min(now * (1 + width), 1 + share)
-
-        def at(factor, k=k, here=best[1]):
-            frequencies = here.frequencies.copy()
-            frequencies[k] = factor
-            return here._replace(frequencies=frequencies)
-
-        found = minimize_scalar(
-            lambda factor: -size(at(factor)), bounds=ends, method="bounded", options={"xatol": width / 1e3}
-        )
-        if -found.fun > best[0]:
-            best = float(-found.fun), at(float(found.x))
-    return best
 
 
 @checked

@@ -38,9 +38,6 @@ class LeastMeanSquares(UnweightedRegressor):
         The estimate.
     intercept_ : float or ndarray, shape (outputs,)
         Output where the features are 0; 0 without `fit_intercept`.
-    scale_ratio_ : float
-        Largest root mean square of the features, with an intercept of their deviations from the mean, over the smallest,
-        with an intercept that of late: the smallest one takes this ratio squared times longer.
     n_features_in_ : int
         Number of features.
 
@@ -95,12 +92,6 @@ class LeastMeanSquares(UnweightedRegressor):
                 UnlikeScalesWarning,
                 stacklevel=4,
             )
-
-    @property
-    def scale_ratio_(self):
-        """Largest over smallest size of the features; those that do not move are left out."""
-        self._require_fitted()
-        return self._scales()[0]
 
     def _scales(self) -> tuple[float, float]:
         # the ratio of the sizes, and the smallest square over that of a row

@@ -269,29 +269,6 @@ class AdaptationStepper:
         self.samples += 1
         return weights.copy()
 
-    def skip(self, regressor: ArrayLike, command: ArrayLike | None = None) -> None:
-        """Pass a sample in which the weights stay, as while a force is cut off or the floor is too loud to learn from.
-
-        Parameters
-        ----------
-        regressor, command : array_like
-            As of `update`.
-
-        Raises
-        ------
-        InputError
-            As of `update`.
-
-        Examples
-        --------
-        >>> stepper = estimation.AdaptationStepper(estimation.FeLms(1.0, path_delay=1), [[0.0]])
-        >>> stepper.skip([2.0], [0.0])  # the next update is of this sample's regressor
-        >>> stepper.update([0.0], [1.0], [0.0]).round(3)
-        array([[-0.5]])
-        """
-        self._late = self._queue(regressor, command)[1:]
-        self.samples += 1
-
     def _queue(self, regressor, command):
         """psi_N and N[u] of the samples kept and of now, the oldest first."""
         actuators, n = self.weights.shape

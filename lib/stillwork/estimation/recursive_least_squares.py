@@ -4,11 +4,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from stillwork.estimation.recursive import warn_held
 from stillwork.estimation.regression import TriangleRegressor
-from stillwork.estimation.triangle_kernels import HELD, MASS, MEAN, NO_BOUNDS, POWER, SINGULAR, least_share
+from stillwork.estimation.triangle_kernels import HELD, NO_BOUNDS, least_share
 
 
 @dataclass(eq=False)
@@ -88,27 +87,6 @@ class RecursiveLeastSquares(TriangleRegressor):
     def _warn(self):
         if (self.held_ > 0.5).any():
             warn_held(np.flatnonzero(self.held_ > 0.5), stacklevel=5)
-
-    @property
-    def covariance_(self):
-        """P after the last sample, an intercept last; times the variance of the noise that of the estimate.
-
-        Infinite while the samples do not determine all coefficients.
-        """
-        self._require_fitted()
-        state, n = self._state.record, self.n_features_in_
-        unknowns = n + self._has_intercept
-        sizes = np.sqrt(state[n + POWER, :n])
-        if (np.abs(np.diag(state[:n, :n])) <= SINGULAR * sizes).any():
-            return np.full((unknowns, unknowns), np.inf)
-        turned = np.zeros((unknowns, n))
-        turned[:n] = solve_triangular(state[:n, :n], np.eye(n))
-        if self._has_intercept:
-            turned[n] = -state[n + MEAN, :n] @ turned[:n]
-        found = turned @ turned.T
-        if self._has_intercept:
-            found[n, n] += 1 / state[n + MASS, 0]
-        return found
 
     @property
     def held_(self):

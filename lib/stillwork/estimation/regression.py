@@ -10,7 +10,6 @@ import math
 import warnings
 from dataclasses import fields
 from functools import cache
-from inspect import signature
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -170,28 +169,6 @@ class RecursiveRegressor:
             regressor_tags=RegressorTags(),
             input_tags=InputTags(allow_nan=True),
         )
-
-    def get_metadata_routing(self):
-        """Where scikit-learn's metadata routing is enabled: weights that reach the estimator are used.
-
-        Returns
-        -------
-        sklearn.utils.metadata_routing.MetadataRequest
-
-        Examples
-        --------
-        >>> estimation.RecursiveLeastSquares().get_metadata_routing().score.requests
-        {'sample_weight': True}
-        """
-        from sklearn.utils.metadata_routing import MetadataRequest
-
-        requests = MetadataRequest(owner=type(self).__name__)
-        for name in ("fit", "partial_fit", "score"):
-            if "sample_weight" in signature(getattr(self, name)).parameters:
-                getattr(requests, name).add_request(param="sample_weight", alias=True)
-        return requests
-
-    _get_default_requests = get_metadata_routing  # where scikit-learn before 1.8 looks for a scorer
 
     def _outputs(self, X):
         return X @ self.coef_.T + self.intercept_

@@ -5,7 +5,7 @@ from stillwork.base.lazy_exports import lazy_exports
 __all__, __getattr__, __dir__ = lazy_exports(
     __name__,
     {
-        "complex_frequency": ("complex_frequency_poles", "stabilisation"),
+        "complex_frequency": ("stabilisation",),
         "frequency_response": ("Identified",),
         "machine": ("build_machine",),
         "machine_files": ("load_machine",),

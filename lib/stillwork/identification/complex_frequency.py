@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Complex128, Float64, Int64
+from jaxtyping import Bool, Float64, Int64
 from numpy.typing import ArrayLike
 from scipy.linalg import toeplitz
 
-from stillwork.base.bounds import Count, Vector
+from stillwork.base.bounds import Vector
 from stillwork.base.checks import InputError, require_array
 from stillwork.base.validation import by_value, check_fields, checked
 
@@ -65,58 +65,6 @@ class Stabilisation:
             found.append(np.median(poles[:, group], axis=1, keepdims=True))
             left &= ~group
         return np.exp(np.hstack(found))
-
-
-@checked
-def complex_frequency_poles(
-    omega: Vector, response: ArrayLike, weight: ArrayLike, order: Count
-) -> Complex128[np.ndarray, " poles"]:
-    r"""Poles (rad/s) of the polynomial fraction of one order that fits a response matrix best.
-
-    The fraction :math:`H_o = B_o(z)A^{-1}(z)` of each output :math:`o` has real coefficients; those of :math:`A` are
-    square matrices, one row per input, and :math:`z = e^{j\pi(\omega - \omega_1)/(\omega_n - \omega_1)}`: the band
-    fills the upper half of the unit circle. Least squares of :math:`w(B_o - H_oA)` with the highest coefficient of
-    :math:`A` one; the :math:`B_o` follow from :math:`A` and are eliminated. All sums over lines are Toeplitz.
-
-    Parameters
-    ----------
-    omega : array_like, shape (lines,)
-        rad/s, ascending.
-    response : array_like, shape (lines, outputs, inputs)
-    weight : array_like, shape (lines,)
-        Weight of each line's equations.
-    order : int
-        Order of :math:`A`; the number of poles is this times the number of inputs, half of them with positive frequency.
-
-    Returns
-    -------
-    ndarray, shape (poles,)
-        Poles with positive frequency, stable or not.
-
-    Raises
-    ------
-    InputError
-        When the lines do not ascend or are fewer than four times the order.
-
-    References
-    ----------
-    B. Peeters, H. Van der Auweraer, P. Guillaume and J. Leuridan, "The PolyMAX frequency-domain method: a new standard
-    for modal parameter estimation?", Shock and Vibration 11 (2004).
-
-    Examples
-    --------
-    >>> omega = np.linspace(100.0, 200.0, 400)
-    >>> response = 1 / (150.0**2 - omega**2 + 2j * 0.01 * 150 * omega)
-    >>> poles = identification.complex_frequency_poles(omega, response[:, None, None], np.ones(400), 4)
-    >>> nearest = poles[np.argmin(np.abs(poles - 150j))]
-    >>> round(float(abs(nearest)), 1)
-    150.0
-    """
-    response = require_array("response", response, shape=(len(omega), None, None), dtype=complex)
-    weight = require_array("weight", weight, shape=omega.shape)
-    if len(omega) < 4 * order or np.any(np.diff(omega) <= 0):
-        raise InputError(f"omega must ascend and hold at least {4 * order} lines for order {order}")
-    return _poles(_sums(omega, response, weight, order), order, omega)
 
 
 @checked
