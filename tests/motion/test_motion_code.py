@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
+from naive.moves import plan_move, run_motion
 from shared.compiled import STRICT, call, compiled
 from stillwork.base.checks import InputError
 from stillwork.control.applications import Application
@@ -25,7 +26,7 @@ from stillwork.control.digital import (
 from stillwork.control.discrete_observer import discrete_compensator, discrete_kalman_observer
 from stillwork.control.feedforward import Feedforward, Motion, inverse_gains, modified_feedforward
 from stillwork.control.pid import PidFamily
-from stillwork.control.setpoint import MoveLimits, plan_move
+from stillwork.control.setpoint import MoveLimits
 from stillwork.estimation.adaptive import FeLms, FeRls
 from stillwork.estimation.observer import NoiseIntensities
 from stillwork.lti.discretisation import tustin
@@ -144,7 +145,9 @@ def moved(controller, folder, plant, distance=0.032, **options):
     library = built(controller, folder)
     assert library.enable(0.0, 0.0, 0.0) == 0 and library.go(distance) == 0
     positions, forces, flags = follow(library, plant, 4000, **options)
-    wanted, _ = controller.motion.run(plan_move(distance, controller.motion.limits), 4000, SAMPLE_TIME)
+    wanted, _ = run_motion(
+        controller.motion, plan_move(distance, controller.motion.limits), 4000, SAMPLE_TIME
+    )
     return np.abs(wanted - positions), forces, flags.astype(int)
 
 
@@ -226,7 +229,7 @@ def test_setpoint_and_feedforward_in_c_are_those_of_python(tmp_path, limits, pre
         assert library.go(target) == 0
         move = plan_move(target - place, limits, place)
         samples = int(np.ceil((move.duration + controller.motion.lag) / SAMPLE_TIME)) + 1
-        wanted, fed = controller.motion.run(move, samples, SAMPLE_TIME)
+        wanted, fed = run_motion(controller.motion, move, samples, SAMPLE_TIME)
         measured = wanted - 1e-6 * np.sin(0.1 * np.arange(samples))
         for value in measured:
             library.run(value, ctypes.byref(force))
@@ -319,7 +322,7 @@ def test_lost_samples_are_held_and_then_forgotten(tmp_path):
     lost = {*range(800, 810), *range(3000, 3020)}
     positions, forces, flags = follow(library, plant, 6000, lost=lost)
     flags = flags.astype(int)
-    wanted, _ = controller.motion.run(plan_move(0.032, LIMITS), 6000, SAMPLE_TIME)
+    wanted, _ = run_motion(controller.motion, plan_move(0.032, LIMITS), 6000, SAMPLE_TIME)
     assert np.abs(positions - wanted)[:3000].max() < 2e-6 and abs(positions[-1] - 0.032) < 1e-8
     assert np.flatnonzero(flags & HELD).tolist() == sorted(lost)
     assert np.flatnonzero(flags & INVALID).tolist() == list(range(3010, 3020))

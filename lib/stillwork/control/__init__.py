@@ -27,7 +27,7 @@ __all__, __getattr__, __dir__ = lazy_exports(
         "loops": ("closed_loop",),
         "mechanism": ("Mechanism",),
         "pid": ("PidFamily",),
-        "setpoint": ("MoveLimits", "plan_move", "point_to_point"),
+        "setpoint": ("MoveLimits", "point_to_point"),
         "trajectory": ("asin_trajectory",),
         "transformation": ("DisturbanceObserver", "FlowTransformation"),
         "uncertain_modes": ("uncertain_channel",),

@@ -12,7 +12,7 @@ from stillwork.base.bounds import NonNegative
 from stillwork.base.checks import InputError, pluralise, require_array, require_choice
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.control.loops import INPUTS, OUTPUTS, require_deviations, require_stable
-from stillwork.control.setpoint import Move, MoveLimits, Setpoint, largest_of
+from stillwork.control.setpoint import MoveLimits, Setpoint, largest_of
 from stillwork.lti.discretisation import zoh
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.simulation import simulate
@@ -164,35 +164,6 @@ class Motion:
                 f"limits: the feedforward's terms sum to up to {asked:.4g}, the output is limited to {allowed:.4g}; "
                 "lower the limits of acceleration, velocity, jerk or snap"
             )
-
-    @checked
-    def run(self, move: Move, samples: int, sample_time: float) -> Float64[np.ndarray, "2 samples"]:
-        """Expected position and feedforward force at each sample.
-
-        Parameters
-        ----------
-        move : Move
-            See `plan_move`.
-        samples : int
-        sample_time : float
-            s.
-
-        Returns
-        -------
-        ndarray, shape (2, samples)
-            Position, delayed by the lag, and force.
-
-        Examples
-        --------
-        >>> move = control.plan_move(0.01, control.MoveLimits(0.1, 2.0, 100.0))
-        >>> motion = control.Motion(control.Feedforward(acceleration=10.0), lag=1.5e-3)
-        >>> motion.run(move, 5000, 1e-3)[:, -1]  # m, N
-        array([0.01, 0.  ])
-        """
-        time = np.arange(samples) * sample_time
-        ahead = move.at(time)
-        force = self.feedforward.gains @ ahead[1:] + self.feedforward.coulomb * np.sign(ahead[1])
-        return np.array([move.at(time - self.lag)[0], force])
 
 
 @checked(infinite=True)
