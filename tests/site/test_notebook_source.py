@@ -7,7 +7,6 @@ from html.parser import HTMLParser
 import pytest
 
 from workbook import notebook_source
-from workbook.site import reference
 from workbook.site.mathematics import markdown, mathml
 
 IDS = ["topic.fig-1.a", "topic.fig-1.b", "topic.table-2.a"]
@@ -31,17 +30,6 @@ def test_claims_and_figures_are_found_in_their_order():
 )
 def test_a_variable_names_no_claim_but_those_that_its_cell_writes_out(source, named):
     assert notebook_source.claims_checked(source, IDS) == named
-
-
-@pytest.mark.slow
-def test_every_name_of_a_module_has_a_place():
-    modules = reference.read_modules()
-    places = reference.index(modules)
-    assert places["stillwork.signals.records.load_record"] == "stillwork.signals.records.html#load_record"
-    assert places["stillwork.estimation.FeRls"] == "stillwork.estimation.adaptive.html#FeRls"
-    assert {module.folder for module in modules} >= {"lti", "workbook", "isolation"}
-    names = {module.name for module in modules}
-    assert not [name for name in names if ".site" in name]
 
 
 @pytest.mark.parametrize(

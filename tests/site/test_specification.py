@@ -46,23 +46,6 @@ def test_values_rise_from_left_to_right_and_colours_tell_who_agrees():
     assert drawn.seeds == ""
 
 
-def test_below_each_value_stand_the_options_that_gave_it():
-    drawn = curve()
-    names = [name for _, name, _ in drawn.options]
-    assert names == ["1.0", "2.0", "4.0", "up", "down"]
-    assert [name for _, name in drawn.axes] == ["scale, 2.0 taken", "sign, up taken"]
-    heights = [y for y, *_ in drawn.options]
-    assert drawn.axes[0][0] < heights[0] < heights[2] < drawn.axes[1][0] < heights[3]
-    columns = sorted(x for path in drawn.dots.values() for x, _ in places(path))
-    on = {
-        name: sorted(columns.index(x) for path in paths.values() for x, _ in places(path))
-        for (_, name, paths) in drawn.options
-    }
-    # In order of value: -4, -2, -1, 1, 2, 4.
-    assert list(on.values()) == [[2, 3], [1, 4], [0, 5], [3, 4, 5], [0, 1, 2]]
-    assert drawn.options[1][2].keys() == {"agrees", "differs"}
-
-
 def claim_of(name, ours, published, share=None):
     """A claim that agrees at our settings within 0.5, and under a share of two combinations."""
     entry = Entry(

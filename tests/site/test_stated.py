@@ -16,18 +16,6 @@ class Judged(Claim):
     verdict: str = ""
 
 
-@dataclass(frozen=True)
-class Standing:
-    """How an entry fares over its combinations."""
-
-    agree: int
-    tried: int
-
-    @property
-    def share(self) -> float:
-        return self.agree / self.tried
-
-
 def claim(verdict, kind="ordering"):
     return Judged(
         next(each for each in load_entries("motion").values() if each.kind == kind), verdict=verdict
@@ -55,13 +43,3 @@ def test_a_conclusion_names_entries_of_the_ledger():
         stated("motion", set(ledger) - {"motion.fig-2-3.converges"})
     assert stated("budget", ledger) == []
     assert page_of([("budget", "A machine")], []).count("|") == 0
-
-
-def test_a_value_at_our_settings_stands_beside_its_share_of_all():
-    entry = load_entries("motion")["motion.fig-2-3.converges"]
-    ledger = [
-        Judged(each, 1.0, over=Standing(3, 4) if each == entry else None)
-        for each in load_entries("motion").values()
-    ]
-    text = page_of([("motion", "A thesis")], ledger)
-    assert text.count("agrees under 3 of 4") == 2  # the note above and this one
