@@ -1,4 +1,4 @@
-"""JupyterLab itself: `make lab` lands on the map of the house, and an explorer's slider moves its picture."""
+"""JupyterLab itself: `make lab` lands on the index of the notebooks, which opens one."""
 
 import json
 import os
@@ -13,8 +13,6 @@ from pathlib import Path
 
 import pytest
 from selenium.common.exceptions import TimeoutException
-from selenium.webdriver.common.by import By
-from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import WebDriverWait
 
 ROOT = Path(__file__).parents[2]
@@ -88,12 +86,6 @@ return shell.currentWidget === panel;
 """
 
 
-def asynchronously(browser, script: str) -> None:
-    """Run a script that may ``await`` JupyterLab's own promises; what it throws fails the test."""
-    wrapped = f"const done = arguments[0]; (async () => {{ {script} }})().then(() => done(''), (error) => done(String(error)))"
-    assert browser.driver.execute_async_script(wrapped) == ""
-
-
 def until(browser, script: str, *arguments):
     """What `script` returns once that is not empty; it finds what it looks at anew each time."""
     wait = WebDriverWait(browser.driver, 120)
@@ -120,41 +112,3 @@ def test_it_lands_on_the_index_of_the_notebooks(browser, lab):
         title,
     )
     until(browser, PANEL, f"notebooks/{NOTEBOOK}.ipynb")
-
-
-# What stands on the explorer: the slider's number, the picture's address, the message.
-STATE = """
-const text = (selector) => document.querySelector(selector)?.textContent;
-const picture = document.querySelector(".widget-image[src^='blob:']")?.src;
-return picture && [text(".widget-readout"), picture, text(".widget-html-content")];
-"""
-PUBLISHED, MOVED = "at the start", "moved; in grey the start"
-
-
-def test_a_slider_moves_number_and_picture_and_the_button_returns(browser, lab):
-    browser.resize(1440, 1400)
-    browser.driver.set_script_timeout(300)  # the kernel may have to compile first
-    browser.open(f"{lab}/lab/tree/notebooks/{NOTEBOOK}.ipynb?token={TOKEN}")
-    until(browser, PANEL, f"notebooks/{NOTEBOOK}.ipynb")
-    asynchronously(
-        browser,
-        "const app = window.jupyterapp, panel = app.shell.currentWidget; await panel.sessionContext.ready;"
-        "if (!await app.commands.execute('notebook:run-all-cells')) throw new Error("
-        "  JSON.stringify(panel.content.model.toJSON().cells.map((cell) => cell.outputs)));"
-        "await panel.content.scrollToItem(panel.content.widgets.length - 1)",
-    )
-    before = until(browser, STATE)
-    assert before[2] == PUBLISHED
-
-    browser.driver.find_element(By.CSS_SELECTOR, ".noUi-handle").send_keys(Keys.ARROW_RIGHT)
-    after = until(
-        browser, f"const now = (() => {{ {STATE} }})(); return now?.[2] === arguments[0] && now", MOVED
-    )
-    assert float(after[0]) > float(before[0])
-    assert after[1] != before[1]
-
-    browser.driver.find_element(By.CSS_SELECTOR, "button.jupyter-button").click()
-    home = until(
-        browser, f"const now = (() => {{ {STATE} }})(); return now?.[2] === arguments[0] && now", PUBLISHED
-    )
-    assert home[0] == before[0]

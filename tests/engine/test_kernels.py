@@ -1,13 +1,6 @@
 """Whether kernels are forked, and the settings they run under."""
 
-from workbook.kernels import stop, warmed
 from workbook.pinned import environment, pins, settings
-
-
-def test_no_kernel_is_forked_where_that_is_not_wanted():
-    with warmed(False) as forks:
-        assert not forks
-    stop("no build")
 
 
 def test_the_settings_of_another_processor_stand_in_for_the_pins(monkeypatch):

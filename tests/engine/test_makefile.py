@@ -81,13 +81,6 @@ def short(lines: list[str]) -> list[str]:
     return kept
 
 
-def test_the_first_use_makes_the_environment_and_the_next_does_not(checkout):
-    assert make(checkout, "figures", "ARGS=isolation -p seed=3").returncode == 0
-    assert short(calls(checkout)) == [*MADE, "-m workbook figures isolation -p seed=3"]
-    assert make(checkout, "doctor").returncode == 0
-    assert short(calls(checkout)) == ["-m workbook doctor"]
-
-
 def test_a_half_made_environment_is_made_again(checkout):
     (checkout / "broken").touch()
     assert make(checkout, "figures").returncode != 0
@@ -123,13 +116,6 @@ def test_another_python_is_refused(checkout):
     assert done.returncode != 0
     assert "./stub is not a Python 3.11, 3.12, 3.13 or 3.14; name one: make PYTHON=" in done.stdout
     assert calls(checkout) == []
-
-
-def test_an_environment_of_ones_own_is_left_alone(checkout):
-    assert make(checkout, OWN, "figures").returncode == 0
-    assert make(checkout, f"ENVIRONMENT={checkout}/own one", "figures").returncode == 0
-    assert calls(checkout) == ["-m workbook figures"] * 2
-    assert not (checkout / ".venv").exists()
 
 
 def documented() -> list[str]:

@@ -91,18 +91,15 @@ def test_a_joint_in_thousandths_of_its_unit_moves_as_before(kind):
             resolution=1e-6 * sizes,
         )
         assert not runs[0].cause and np.abs(runs[0].force).max() == pytest.approx(6.0 / unit)
-        found.append(np.array([each.position_error for each in runs]) / sizes[:, None])
-        if kind == "of both":
-            continue
+        errors = np.array([each.position_error for each in runs]) / sizes[:, None]
         loop = linear_loop(plant, controllers, 1e-3, 0.1 * sizes, 0.2 * sizes)
         limits = stable_range(loop).limits
         gains = [each.transformation.local_gain for each in controllers]
         radii = iteration_radius(plant, controllers[0].model, 0.1 * sizes, gains), loop.radius(gains[0])
         assert radii[1] < 1 and limits[0] < gains[0] < limits[1]
-        found[-1] = found[-1], (*limits, *radii)
-    if kind != "of both":
-        found, linear = zip(*found, strict=True)
-        assert linear[1] == pytest.approx(linear[0], rel=1e-6)
+        found.append((errors, (*limits, *radii)))
+    found, linear = zip(*found, strict=True)
+    assert linear[1] == pytest.approx(linear[0], rel=1e-6)
     size = np.abs(found[0]).max()
     assert size > 1e-4
     assert np.abs(found[1] - found[0]).max() < 1e-6 * size
