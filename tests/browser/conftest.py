@@ -1,9 +1,7 @@
 """The site as `make site` wrote it, and a Chromium that notes every request and every message."""
 
-import base64
 import json
 import os
-import re
 import shutil
 from pathlib import Path
 
@@ -60,12 +58,6 @@ class Browser:
     def dark(self, wanted: bool) -> None:
         scheme = {"name": "prefers-color-scheme", "value": "dark" if wanted else "light"}
         self.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [scheme]})
-
-    def sheets(self) -> int:
-        """Sheets of A4 that the page is printed on."""
-        size = {"paperWidth": 8.27, "paperHeight": 11.69}
-        printed = self.driver.execute_cdp_cmd("Page.printToPDF", size)["data"]
-        return len(re.findall(rb"/Type\s*/Page\b(?!s)", base64.b64decode(printed)))
 
     def requests(self) -> list[str]:
         """Addresses that were asked for since the last call."""

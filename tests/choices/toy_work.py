@@ -101,11 +101,6 @@ def noisy(*, a, b, seed, lean, **others):
     return found | {"motion.table-1.sum": found["motion.table-1.sum"] + seed - 8}
 
 
-def at_zero(*, seed):
-    """Without a short form, so without the argument for it."""
-    return noisy(a=0, b=0, seed=seed, lean=False)
-
-
 def spread(*, a, b, seed, lean):
     """Values with intervals, and one without a value."""
     found = sums(a=a, b=b, seed=seed, lean=lean)

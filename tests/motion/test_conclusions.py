@@ -1,7 +1,5 @@
 """Every numbered conclusion of the thesis is judged by entries of the ledger, and the page of all papers knows them."""
 
-import pytest
-
 from workbook.claims import load_entries
 from workbook.site.stated import stated
 
@@ -17,8 +15,3 @@ def test_every_numbered_conclusion_is_judged():
     for each in found:
         kinds = {ledger[name].kind for name in each.entries}
         assert kinds & {"value", "exact", "slope", "ordering"}, each.place
-
-
-@pytest.mark.parametrize("topic", ["isolation", "worstcase", "fixedpoint"])
-def test_the_claims_of_each_abstract_name_entries(topic):
-    assert len(stated(topic, load_entries(topic))) >= 7

@@ -5,9 +5,5 @@ def draw(rng, mean=0.0, size=3):
     return {"level": rng.normal(mean), "path": rng.normal(size=size)}
 
 
-def uneven(rng):
-    return {"a": 1.0} if rng.random() < 0.5 else {"b": 1.0}
-
-
 def failing(rng):
     raise ValueError("no convergence")

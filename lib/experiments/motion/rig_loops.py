@@ -36,7 +36,7 @@ FUNCTIONS = {
 }
 LIMITS = tuple(PeakConstraint(name) for name in FUNCTIONS.values())  # 6 dB
 
-TOLERANCE_HZ = 2e-3  # of a design
+LOWEST_HZ, HIGHEST_HZ, TOLERANCE_HZ = 1.5, 60.0, 2e-3  # of a design
 PEAK_TOLERANCE = 1e-4  # relative, by which a peak may grow between the points of the last grid
 
 
@@ -258,8 +258,6 @@ def maximise_rig_bandwidth(
     loops: Sequence[RigLoop],
     family: Callable[[float, float], tuple[Pid, Pid, Pid]],
     measure: str = "singular values",
-    low_hz: float = 1.5,
-    high_hz: float = 60.0,
 ) -> RigBandwidth:
     """Largest bandwidths for which every position is stable and every loop function stays below 6 dB.
 
@@ -276,7 +274,7 @@ def maximise_rig_bandwidth(
             along,
             LIMITS,
             start,
-            high_hz,
+            HIGHEST_HZ,
             tolerance_hz=TOLERANCE_HZ,
             refine=False,
             lowest=True,
@@ -284,12 +282,12 @@ def maximise_rig_bandwidth(
         )
         if found.function == "the end of the search":
             raise InputError(
-                f"all constraints hold even at high_hz = {high_hz:g}; raise it to find the limit"
+                f"all constraints hold even at {HIGHEST_HZ:g} Hz, where the search ends; raise HIGHEST_HZ"
             )
         return found
 
     for _ in range(6):  # the grids gain points around the peaks that stop the search, until these stand
-        together = raised(lambda hz: family(hz, hz), low_hz).design_hz
+        together = raised(lambda hz: family(hz, hz), LOWEST_HZ).design_hz
         rotation = raised(lambda hz, z=together: family(z, hz), together).design_hz
         last = raised(lambda hz, turned=rotation: family(hz, turned), together)
         pids = last.controller

@@ -64,11 +64,11 @@ def tabulated(
 
 
 @checked
-def measured(name: str, place: str, unit: str, spectrum: Spectrum, channel: int = 0) -> Source:
-    """A channel of an estimated spectrum, with the uncertainty of its averages."""
+def measured(name: str, place: str, unit: str, spectrum: Spectrum) -> Source:
+    """The first channel of an estimated spectrum, with the uncertainty of its averages."""
     known = spectrum.frequencies_hz > 0
     f, rows = spectrum.frequencies_hz[known], spectrum.density[:, known]
-    return tabulated(name, place, unit, f, rows[channel], spectrum.averages)
+    return tabulated(name, place, unit, f, rows[0], spectrum.averages)
 
 
 @checked

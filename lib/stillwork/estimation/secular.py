@@ -226,13 +226,8 @@ class SecularFunction:
         return np.array(values)
 
     @checked
-    def root(self, start: Positive | None = None) -> tuple[float, int]:
+    def root(self) -> tuple[float, int]:
         """Unique positive fixed point and the number of evaluations of f it took.
-
-        Parameters
-        ----------
-        start : float, optional
-            Where the search begins; by default its lower limit.
 
         Raises
         ------
@@ -245,8 +240,7 @@ class SecularFunction:
                 f"bound is {self.bound:g}; the secular equation has a positive root only for a bound "
                 f"between {lowest:g} and {self.threshold:g}"
             )
-        if start is None:
-            start = float(self._sums[2] / (self.threshold / self.bound - 1))
+        start = float(self._sums[2] / (self.threshold / self.bound - 1))
         return secular_root(self.eigenvalues, self.coefficients**2, self.excess**2, self.bound, start)
 
     def _terms(self, alpha):
