@@ -47,7 +47,6 @@ ABOUT_SUSPENSION = (
     0.5,
 )  # of a suspension: where bandwidths are sought from, if none is safe well above it
 LEAD_ABOUT_SUSPENSION = 16 / 3  # there: a crossing above the resonance needs more phase than a free body's
-USES = 5  # that are searched
 CHANGES = 4  # of the machine or its processor, of which each is tried for what it would help
 WORTH = 0.01  # relative gain in bandwidth below which a change of the machine is not listed
 # The uses that each contains: where it gets no further than one of them, its design is that one's.
