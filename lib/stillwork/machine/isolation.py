@@ -129,6 +129,9 @@ class FeedforwardLoop:
     path_delay: Natural = 0  # samples from a command to its filtered error
     # s: of a first-order low-pass that the weights pass on their way to the command; the error takes off what was sent
     smoothing: NonNegative = 0.0
+    # Whether the platform's readings are cleared of what sampling folds of the steps of the held command; a measured
+    # response, through an anti-alias filter, has little of it
+    clearing: bool = True
 
     def __post_init__(self):
         check_fields(self)
@@ -153,6 +156,28 @@ class FeedforwardLoop:
     def smooth(self) -> float:
         """Share of their distance from the adapted weights by which those of the command follow them each sample."""
         return 1.0 if self.smoothing == 0 else float(-np.expm1(-self.sample_time / self.smoothing))
+
+    @cached_property
+    def folded(self) -> tuple[Float64[np.ndarray, "axes axes"], int]:
+        """F and d: sampling folds F (u(k - d) - u(k - d - 1)) of the held command u into the readings, at low frequencies.
+
+        The steps of a held ramp, behind the actuators' pole, are above its mean by this at the instant of a sample.
+        """
+        estimate, (late, part) = self.estimate, divmod(self.estimate.delay * self.rate, 1.0)
+        pole, since = estimate.actuator_pole * self.sample_time, (1 - part) % 1.0
+        above = 0.5 - since + 1 / pole + np.exp(-pole * since) / np.expm1(-pole)
+        return self.clearing * above * np.linalg.inv(estimate.mass), max(int(late + round(part)), 1)
+
+    @checked
+    def cleared(
+        self,
+        secondary: Complex128[np.ndarray, "frequencies axes axes"],
+        frequencies_hz: Float64[np.ndarray, " frequencies"],
+    ) -> Complex128[np.ndarray, "frequencies axes axes"]:
+        """A sampled path to the platform's readings, from which `folded` is taken off."""
+        matrix, late = self.folded
+        z = np.exp(-2j * np.pi * frequencies_hz / self.rate)
+        return secondary - ((1 - z) * z**late)[:, None, None] * matrix
 
     @cached_property
     def integrator(self) -> np.ndarray:
@@ -210,7 +235,7 @@ class FeedforwardLoop:
         secondary: Complex128[np.ndarray, "frequencies axes axes"],
         frequencies_hz: Float64[np.ndarray, " frequencies"],
     ) -> Responses:
-        """Responses of the loop for paths that do not include the skyhook yet.
+        """Responses of the loop for sampled paths that do not include the skyhook yet.
 
         Of weights that stay the modified error is N P2hat^-1 a1 + N z^-d K a1, with K the skyhook and d the path's delay, and its
         regressors are z^-d N psi.
@@ -222,6 +247,7 @@ class FeedforwardLoop:
             signal.freqz_sos(sections, f, fs=self.rate)[1]
             for sections in (self.skyhook, self.integrator, self.noise_shaping, self.highpass)
         )
+        secondary = self.cleared(secondary, f)
         sensitivity = np.linalg.inv(np.eye(secondary.shape[1]) + secondary * damping[:, None, None])
         stack = highpass[:, None] * integrator[:, None] ** np.arange(POWERS + 1)
         before, sections, after = self.error

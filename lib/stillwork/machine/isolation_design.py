@@ -425,7 +425,7 @@ def _certify(
     slowest = float(values.real.min())
     fine = np.geomspace(1e-2, 0.499 * loop.rate, 3000)
     damping = signal.freqz_sos(loop.skyhook, fine, fs=loop.rate)[1]
-    turns = encirclements(paths_of(fine)[2] * damping[:, None, None])
+    turns = encirclements(loop.cleared(paths_of(fine)[2], fine) * damping[:, None, None])
     problems = []
     if angles[worst] > HIGHEST_PHASE:
         problems.append(
@@ -555,7 +555,7 @@ def design_isolation(
     """
     estimate = isolator if estimate is None else estimate
     own = paths_through(isolator, rate, correction)
-    first = _first_loop(isolator, estimate, own, floor, rate, band_hz, notches)
+    first = _first_loop(isolator, estimate, own, floor, rate, band_hz, notches, correction is None)
     box = _box(isolator, spread, np.random.default_rng(seed))
     paths = [paths_through(each, rate, correction) for each in box]
     tried = [
@@ -594,12 +594,19 @@ def _mean_mode(estimate: Isolator) -> tuple[float, float]:
 
 
 def _first_loop(
-    isolator: Isolator, estimate: Isolator, own: Paths, floor: FloorSpectra, rate: float, band_hz, notches
+    isolator: Isolator,
+    estimate: Isolator,
+    own: Paths,
+    floor: FloorSpectra,
+    rate: float,
+    band_hz,
+    notches,
+    clearing,
 ) -> FeedforwardLoop:
     """A loop in its band, as given or chosen, from which those that are tried are made."""
     mass, omega = _mean_mode(estimate)
     shaping = NoiseShaping(1.0, rate / 8, 3, notches)
-    first = FeedforwardLoop(rate, 0.4 * mass * omega, 2.0, 1.0, shaping, estimate)
+    first = FeedforwardLoop(rate, 0.4 * mass * omega, 2.0, 1.0, shaping, estimate, clearing=clearing)
     low, high = band_hz if any(band_hz) else _choose_band(first, own, estimate.frequencies_hz)
     top = float(floor.frequencies_hz[-1])
     if not any(band_hz) and top > isolator.frequencies_hz[-1]:

@@ -265,7 +265,12 @@ def _run_kernel(design, weights, limit, spans, floors, seen, plant, forces, flag
         else (settings.step_size, settings.regularisation, settings.trace_copies(len(weights)))
     )
     guard = design.guard, design.growth**2, *level_steps(loop.rate), loop.smooth
-    filters = (loop.noise_shaping, loop.skyhook, *(np.ascontiguousarray(each) for each in loop.error))
+    filters = (
+        loop.noise_shaping,
+        loop.skyhook,
+        *(np.ascontiguousarray(each) for each in loop.error),
+        *loop.folded,
+    )
     started = recursion.start(psi.shape[1])
     mean = np.zeros_like(weights)
     _step_through(
@@ -305,7 +310,7 @@ def _step_through(
 ):
     """Every sample: sensors, filtered error and skyhook, command and its limit, update, plant."""
     a, now, before_it, c = plant
-    shaping, skyhook, before, modes, after = filters
+    shaping, skyhook, before, modes, after, folded, stepped = filters
     start, fade, pause, late, begins, path_delay, averaged = spans
     matrix, form, forgetting, levels, allowance, gain, _, _ = recursion
     axes, states, level, (calm, highest, rise, fall, smooth) = seen.shape[1], len(a), 1.0, guard
@@ -317,6 +322,10 @@ def _step_through(
     for k in range(len(seen)):
         for i in range(axes):
             error[i] = seen[k, i] + np.sum(c[i] * x)
+            if k >= stepped:
+                error[i] -= np.sum(folded[i] * forces[k - stepped])
+            if k > stepped:
+                error[i] += np.sum(folded[i] * forces[k - stepped - 1])
             damped[i] = error[i]
             for m in range(len(skyhook)):
                 damped[i] = _section(skyhook[m], skies[i, m], damped[i])

@@ -166,11 +166,14 @@ $highpass    };
 $integrator    };
     static const double modes[A][$error_sections][5] = {
 $modes    };
+    static const double folded[A][A] = {
+$folded    };
     static const double before[A][A] = {
 $before    };
     static const double after[A][A] = {
 $after    };
     unsigned flags = 0u;
+    double stepped[A];
     double damping[A];
     double axes[A];
     double error[A];
@@ -187,9 +190,14 @@ $after    };
     int k;
     int p;
 
-    /* The filtered error N P2^-1 a1, mode by mode, and the skyhook. */
+    /* The filtered error N P2^-1 a1, mode by mode, and the skyhook, of readings without what sampling folds of the steps of
+       the held command. */
     for (a = 0; a < A; a++) {
-        damping[a] = (double)s->platform[a];
+        stepped[a] = s->past[$late - 1][a] - s->past[$late][a];
+    }
+    product(folded, stepped, error);
+    for (a = 0; a < A; a++) {
+        damping[a] = (double)s->platform[a] - error[a];
         error[a] = damping[a];
         for (k = 0; k < $skyhook_sections; k++) {
             damping[a] = section(skyhook[k], &s->skyhook[k][0][a], &s->skyhook[k][1][a], damping[a]);
@@ -283,6 +291,7 @@ unsigned ${name}_step(${name}_state *s, const ${name}_real floor[S], const ${nam
     static const int patience = $patience; /* for how many samples a missing sensor is held */
     unsigned flags = 0u;
     bool whole;
+    int a;
 
     whole = take(s->floor, floor, S);
     whole = take(s->platform, platform, A) && whole;
@@ -292,8 +301,6 @@ unsigned ${name}_step(${name}_state *s, const ${name}_real floor[S], const ${nam
         s->wait = (s->wait > pause_samples) ? s->wait : pause_samples;
     }
     if (s->missing > patience) { /* nothing to go by: no force, and the filters stand still */
-        int a;
-
         flags |= ${guard}_INVALID | ${guard}_FROZEN;
         s->missing = patience + 1;
         s->rest = start_samples + fade_samples; /* the floor goes on elsewhere: a step, as at the start */
@@ -303,6 +310,10 @@ unsigned ${name}_step(${name}_state *s, const ${name}_real floor[S], const ${nam
         }
     } else {
         flags |= advance(s, out);
+    }
+    (void)memmove(s->past[1], s->past[0], sizeof(s->past) - sizeof(s->past[0]));
+    for (a = 0; a < A; a++) {
+        s->past[0][a] = (double)out[a];
     }
     return flags;
 }

@@ -44,6 +44,7 @@ typedef struct {
     double integrator[$integrator_sections][2][$both];
     double error[$error_sections][2][$axes];
     double sent[$shaping_sections][2][$axes];
+    double past[$kept][$axes]; /* commands, the last one first */
 } ${name}_state;
 
 /* Filters at rest, and a warm start: the weights that the design expects, and their covariance on its floor. */
