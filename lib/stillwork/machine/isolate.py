@@ -3,9 +3,10 @@
 import html
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -43,13 +44,12 @@ from stillwork.machine.isolation_design import (
     binned,
     design_isolation,
     floor_spectra,
-    settling_time,
 )
 from stillwork.machine.isolation_prediction import IsolationPrediction, predict, with_noise
 from stillwork.machine.machine_toml import KNOWN, open_machine_toml, own_table, suspended
 from stillwork.machine.path_fit import PathFit, fit_path
 from stillwork.machine.replay import Replay, paint_replay, replay_rows, require_kept
-from stillwork.machine.settling import Learning, paint_learning, settle_on_record
+from stillwork.machine.settling import Learning, paint_learning, settle_on_record, settling_times
 from stillwork.signals.criteria import criterion_met, one_third_octave_velocity
 from stillwork.signals.datafiles import read_arrays, read_columns
 from stillwork.signals.densities import (
@@ -156,66 +156,105 @@ def isolate_file(
         variance=variance,
         spread=spread,
     )
+    how = {"limit": limit, "variance": variance, "spread": spread, "correction": correction}
+    made = _made(design, around, spectra, name, precision, **how)
+    about = _about(machine, made, spectra)
+    files = made.files | {f"{name}.json": json.dumps(about, indent=1, allow_nan=False) + "\n"}
+    write_folder(folder, files)  # before the page: what was computed is not lost with a picture
+    facts = [
+        *made.facts(spectra, limit),
+        *(["assumed", each] for each in (*notes, *floor_notes)),
+        *(["check the floor", each] for each in seen),
+    ]
+    answer = _answer(f"{Path(machine).name} on {spectra.source}", made, spectra, spread)
+    given = {
+        "answer": "".join(f"<p>{html.escape(line)}</p>" for line in answer),
+        "budget": _budget_link(machine, floor, folder) if isolator.axes == isolator.sensors == 1 else "",
+        "source": html.escape(Path(machine).name),
+        "spread": f"{100 * spread:g}",
+        "name": name,
+        "guard": name.upper(),
+        "replay": _replayed(made, limit),
+        "files": html.escape(", ".join(sorted(files))),
+    }
+    text = _report(made, spectra, facts, **given)
+    (Path(folder) / "report.html").write_text(text, encoding="utf-8")
+    answer.append(f"C and reasons: {folder}: {', '.join(sorted([*files, 'report.html']))}")
+    if not verbose:
+        return answer
+    return [
+        *answer,
+        *(": ".join(row) for row in facts),
+        *findings(made.design, made.around, made.found, spectra),
+    ]
+
+
+class _Made(NamedTuple):
+    """A design that was accepted, its C and what it is expected to do."""
+
+    design: IsolationDesign
+    around: list[IsolationDesign]
+    files: dict[str, str]
+    found: IsolationPrediction
+    settling: tuple[float, float]  # s: nominal, and at most in the box
+    run: Replay | None  # of the floor's record, as `learning`
+    learning: Learning | None
+
+    def facts(self, spectra: FloorSpectra, limit: float) -> list[list[str]]:
+        """What was chosen, and what follows."""
+        shown = self.learning.sentence() if self.learning else "on a floor whose strength is even"
+        return [
+            *facts_of(self.design, self.found, spectra),
+            ["settling from zero weights", _settling_words(self.settling, shown)],
+            ["limit of each force", f"{limit:g} N" if np.isfinite(limit) else "none: give --limit"],
+        ]
+
+
+def _made(
+    design: IsolationDesign,
+    around: list[IsolationDesign],
+    spectra: FloorSpectra,
+    name: str,
+    precision: str,
+    *,
+    limit: float,
+    variance: float,
+    spread: float,
+    correction: Callable | None,
+) -> _Made:
+    """What a design becomes on the floor's record, where there is one, and its prediction; refused where these forbid it."""
     pause = PAUSES / (2 * np.pi * design.loop.shaping.highpass_hz)
-    run, learning = None, None
 
     def written(each: IsolationDesign) -> dict[str, str]:
         kept = each.steady.weights, each.guard, each.growth
         return isolation_code(each.loop, each.settings, *kept, limit, pause, name, precision)
 
-    if spectra.record is not None:
-        steps: dict = {"name": name, "limit": limit, "pause_s": pause, "variance": variance, "spread": spread}
-        design, around, run, learning = settle_on_record(
-            design, around, spectra, written, **steps, correction=correction
-        )
-    found, files = predict(design, around, spectra, correction), written(design)
-    times = [settling_time(each, spectra) for each in (design, *around)]
-    settling = learning.settled if learning else (times[0], max(times))
-    if run:
-        found = with_noise(found, run.noise)
+    if spectra.record is None:
+        found, times = predict(design, around, spectra, correction), settling_times(design, around, spectra)
+        require_force(found, limit)
+        return _Made(design, around, written(design), found, times, None, None)
+    steps: dict = {"name": name, "limit": limit, "pause_s": pause, "variance": variance, "spread": spread}
+    design, around, files, run, learning = settle_on_record(
+        design, around, spectra, written, **steps, correction=correction
+    )
+    found = with_noise(predict(design, around, spectra, correction), run.noise)
     require_force(found, limit)
-    if run:
-        require_kept(run, found)
+    require_kept(run, found)
+    return _Made(design, around, files, found, learning.settled, run, learning)
+
+
+def _about(machine: str, made: _Made, spectra: FloorSpectra) -> dict:
+    """The written JSON."""
     about = {
         "made_by": f"stillwork {stillwork.__version__} isolate",
         "machine": Path(machine).name,
         "floor": spectra.source,
-        "rate_hz": rate,
-    } | _record_of(design, found)
-    about["settling_s"] = [each if np.isfinite(each) else None for each in settling]
-    if run and learning:
-        about["replay"] = run.record() | {"settling": learning.record()}
-    files[f"{name}.json"] = json.dumps(about, indent=1, allow_nan=False) + "\n"
-    write_folder(folder, files)  # before the page: what was computed is not lost with a picture
-    shown = learning.sentence() if learning else "on a floor whose strength is even"
-    facts = [
-        *facts_of(design, found, spectra),
-        ["settling from zero weights", _settling_words(settling, shown)],
-        ["limit of each force", f"{limit:g} N" if np.isfinite(limit) else "none: give --limit"],
-        *(["assumed", each] for each in (*notes, *floor_notes)),
-        *(["check the floor", each] for each in seen),
-    ]
-    answer = _answer(f"{Path(machine).name} on {spectra.source}", design, found, spectra, spread, settling[1])
-    given = {
-        "answer": "".join(f"<p>{html.escape(line)}</p>" for line in answer),
-        "budget": _budget_link(machine, floor, folder) if isolator.axes == isolator.sensors == 1 else "",
-    }
-    given |= {
-        "source": html.escape(Path(machine).name),
-        "spread": f"{100 * spread:g}",
-        "name": name,
-        "guard": name.upper(),
-    }
-    given |= {
-        "replay": _replayed(run, learning, found, limit),
-        "files": html.escape(", ".join(sorted(files))),
-    }
-    text = _report(design, around, found, spectra, facts, **given)
-    (Path(folder) / "report.html").write_text(text, encoding="utf-8")
-    answer.append(f"C and reasons: {folder}: {', '.join(sorted([*files, 'report.html']))}")
-    if not verbose:
-        return answer
-    return [*answer, *(": ".join(row) for row in facts), *findings(design, around, found, spectra)]
+        "rate_hz": made.design.loop.rate,
+    } | _record_of(made.design, made.found)
+    about["settling_s"] = [each if np.isfinite(each) else None for each in made.settling]
+    if made.run and made.learning:
+        about["replay"] = made.run.record() | {"settling": made.learning.record()}
+    return about
 
 
 def _budget_link(machine: str, floor: str, folder: str) -> str:
@@ -230,15 +269,9 @@ def _budget_link(machine: str, floor: str, folder: str) -> str:
     )
 
 
-def _answer(
-    source: str,
-    design: IsolationDesign,
-    found: IsolationPrediction,
-    spectra: FloorSpectra,
-    spread: float,
-    settling: float,
-) -> list[str]:
+def _answer(source: str, made: _Made, spectra: FloorSpectra, spread: float) -> list[str]:
     """What was chosen and what it promises, one line each."""
+    design, found, settling = made.design, made.found, made.settling[1]
     loop, rows = design.loop, remains_rows(found, spectra)
     columns = [", ".join(row[k] for row in rows) for k in (1, 4, 5, 6)]
     settles = f"settled from zero weights in {settling:.3g} s at most"
@@ -294,6 +327,7 @@ def _record_of(design: IsolationDesign, found: IsolationPrediction) -> dict:
         "algorithm": type(design.settings).__name__,
         "step": design.step,
         "time_constant_s": design.time_constant,
+        "variance": design.variance,
         "smoothing_s": loop.smoothing,
         "path_delay": loop.path_delay,
         "weights": design.steady.weights.tolist(),
@@ -306,8 +340,9 @@ def _record_of(design: IsolationDesign, found: IsolationPrediction) -> dict:
     }
 
 
-def _report(design, around, found, spectra: FloorSpectra, facts: list[list[str]], **given: str) -> str:
+def _report(made: _Made, spectra: FloorSpectra, facts: list[list[str]], **given: str) -> str:
     """The page of a design; `given` are its other words."""
+    design, around, found = made.design, made.around, made.found
     columns = ["axis", "without control", "skyhook alone", "expected", "lowest", "highest", "class"]
     return page(
         "isolate.html",
@@ -327,8 +362,9 @@ def _report(design, around, found, spectra: FloorSpectra, facts: list[list[str]]
     )
 
 
-def _replayed(run: Replay | None, learning: Learning | None, found: IsolationPrediction, limit: float) -> str:
+def _replayed(made: _Made, limit: float) -> str:
     """The part of the page on the record that ran through the loop."""
+    run, learning, found = made.run, made.learning, made.found
     if run is None or learning is None:
         return ""
     saturated = (

@@ -132,6 +132,14 @@ def learn(
     return Learning(np.array(powers[0]), np.array(powers[1]), expected, floor.duration)
 
 
+def settling_times(
+    design: IsolationDesign, around: list[IsolationDesign], floor: FloorSpectra
+) -> tuple[float, float]:
+    """Settling by theory, s: of the design, and the longest, of it and those around it."""
+    times = [settling_time(each, floor) for each in (design, *around)]
+    return times[0], max(times)
+
+
 def settle_on_record(
     design: IsolationDesign,
     around: list[IsolationDesign],
@@ -144,12 +152,12 @@ def settle_on_record(
     variance: float,
     spread: float,
     correction: Callable | None = None,
-) -> tuple[IsolationDesign, list[IsolationDesign], Replay, Learning]:
-    """The design with a time constant with which weights that move add at most `variance` on the record itself, too."""
+) -> tuple[IsolationDesign, list[IsolationDesign], dict[str, str], Replay, Learning]:
+    """The design and its C with a time constant with which weights that move add at most `variance` on the record itself, too."""
     band_hz = LOWEST_HZ, design.loop.shaping.lowpass_hz
     for left in reversed(range(TRIES)):
-        files, times = written(design), [settling_time(each, floor) for each in (design, *around)]
-        learning = learn(design, files, name, pause_s, floor, band_hz, spread, (times[0], max(times)))
+        files, times = written(design), settling_times(design, around, floor)
+        learning = learn(design, files, name, pause_s, floor, band_hz, spread, times)
         share = max(learning.excess / (GOAL * variance), 0.0)
         room = (ROUNDS * floor.duration - learning.window) / max(
             1.0, *times
@@ -158,7 +166,7 @@ def settle_on_record(
         if share <= 1 or room < SLOWER[0] or slower > LONGEST_S or left == 0:
             break
         design, around = adapt_slower(design, around, floor, variance, slower, correction)
-    return design, around, replay(design, files, name, limit, pause_s, floor, band_hz), learning
+    return design, around, files, replay(design, files, name, limit, pause_s, floor, band_hz), learning
 
 
 @pictures.house_style()
