@@ -15,6 +15,9 @@ FINE = 4  # steps of the plant within a sample of the loop: between these the fl
 DRIVER = """
 #include "{name}.h"
 
+static long kept; /* samples in which weights were kept */
+long kept_samples(void) {{ return kept; }}
+
 /* A plant x+ = A x + B (f, a0, change of a0) with the acceleration C x, {fine} steps a sample; f comes `late` samples late. */
 int simulate(long samples, int states, int late, int adapting, const double *a, const double *b, const double *c,
              const double *floor, const double *noise, double *weights, long first, {name}_state *s, double *out,
@@ -22,6 +25,7 @@ int simulate(long samples, int states, int late, int adapting, const double *a, 
 {{
     enum {{ A = {NAME}_AXES, S = {NAME}_SENSORS, I = A + 2 * S, N = {NAME}_REGRESSORS }};
     static double x[256], ring[16][A];
+    unsigned raised;
     double next[256];
     unsigned flags = 0;
     s->adapting = adapting;
@@ -34,7 +38,9 @@ int simulate(long samples, int states, int late, int adapting, const double *a, 
             for (int j = 0; j < states; j++)
                 read_platform[i] += c[i * states + j] * x[j];
         }}
-        flags |= {name}_step(s, read_floor, read_platform, command);
+        raised = {name}_step(s, read_floor, read_platform, command);
+        flags |= raised;
+        kept += (raised & {NAME}_FROZEN) != 0;
         for (int j = 0; j < A; j++) {{
             ring[(first + k + late) % (late + 1)][j] = command[j];
             in[j] = ring[(first + k) % (late + 1)][j];
@@ -219,6 +225,28 @@ def microseism(rng, hertz):
     )
 
 
+def footfalls(slab, rng, seconds, rate, sensors):
+    """A slab (a seed) under a walker who comes and goes: steps of uneven strength strike two modes, m/s^2, (sensors, samples)."""
+    time_s, force, own = (
+        np.arange(round(seconds * rate)) / rate,
+        np.zeros(round(seconds * rate)),
+        np.random.default_rng(slab),
+    )
+    now = rng.exponential(4)
+    while now < seconds:
+        for step in now + 0.55 * np.arange(rng.integers(6, 20)):
+            here = slice(*np.searchsorted(time_s, (step, step + 0.03)))
+            force[here] += rng.lognormal(0, 0.4) * np.sin(np.pi * (time_s[here] - step) / 0.03)
+        now = step + rng.exponential(6)
+    rows = 3e-5 * np.sqrt(rate / 2) * rng.standard_normal((sensors, len(time_s)))
+    for hertz, loss in ((own.uniform(9, 14), 0.04), (own.uniform(18, 30), 0.03)):
+        w = 2 * np.pi * hertz
+        ring = signal.bilinear([1, 0, 0], [1, 2 * loss * w, w * w], rate)
+        share = own.uniform(0.5, 1, (sensors, 1)) * own.choice([-1, 1], (sensors, 1))
+        rows += 0.03 * share * signal.lfilter(*ring, force)
+    return signal.sosfilt(signal.butter(2, [2, 150], "bandpass", fs=rate, output="sos"), rows, axis=1)
+
+
 class CompiledLoop:
     """The C of a folder, compiled with a plant around it."""
 
@@ -230,9 +258,15 @@ class CompiledLoop:
         subprocess.run(command, cwd=folder, check=True)
         self.library = ctypes.CDLL(str(folder / "loop.so"))
         self.library.size_of_state.restype = ctypes.c_ulong
+        self.library.kept_samples.restype = ctypes.c_long
         self.state = (ctypes.c_char * self.library.size_of_state())()
         getattr(self.library, f"{name}_start")(self.state)
         self.done = 0
+
+    @property
+    def kept(self):
+        """Samples in which the weights were kept, up to now."""
+        return self.library.kept_samples()
 
     def begin(self, weights):
         """Start again with these weights, and the covariance of the design."""
