@@ -11,7 +11,7 @@ from stillwork.base.toml_files import Table
 from stillwork.control.digital import from_biquads
 from stillwork.control.isolation_filters import skyhook, weak_highpass, weak_integrator
 from stillwork.lti.state_space import StateModel, interconnect
-from stillwork.machine.isolation import ORDER, POWERS
+from stillwork.machine.isolation import ORDER, POWERS, folded_steps
 
 
 class WrittenIsolator(NamedTuple):
@@ -51,7 +51,8 @@ class WrittenIsolator(NamedTuple):
     def law(self, sample_time: float, delay: float) -> StateModel:
         """From frame and floor sensor to the force, sampled; the network's own `delay` (samples) is taken off.
 
-        The weights are the design's, frozen. The hold of a slower loop counts as half its longer period of delay.
+        The weights are the design's, frozen. The hold of a slower loop counts as half its longer period of delay, and its filters
+        are taken at the network's rate, where Tustin's rule warps them less: motion of some parts in a thousand of the passive one.
         """
         about, own = self.about, self.about.table("isolator")
         cutoff, beta = 2 * np.pi * about["cutoff_hz"], about["beta"]
@@ -68,13 +69,23 @@ class WrittenIsolator(NamedTuple):
             from_biquads(weak_highpass(ORDER, cutoff, about["highpasses"], sample_time), sample_time),
             *[integrator] * POWERS,
             _waiting(max(late, 0.0), sample_time),
+            self._folded(sample_time, delay),
         ]
-        n = len(chain)
+        n, out = len(chain), len(chain) - 2
         feedback, inputs = np.zeros((n, n)), np.zeros((n, 2))
-        feedback[range(2, n - 1), range(1, n - 2)] = 1
-        feedback[n - 1, : n - 1] = [-1.0, *weights[0]]
+        feedback[range(2, out), range(1, out - 1)] = 1
+        feedback[out, :out] = [-1.0, *weights[0]]
+        feedback[n - 1, out], feedback[0, n - 1] = 1, -1
         inputs[[0, 1], [0, 1]] = 1
-        return interconnect(chain, feedback, inputs, np.eye(n)[-1:])
+        return interconnect(chain, feedback, inputs, np.eye(n)[[out]])
+
+    def _folded(self, sample_time: float, delay: float) -> StateModel:
+        """From the held force to what its steps fold into the frame's readings, which the C takes off."""
+        above, late = folded_steps(2 * np.pi * self.pole_hz * sample_time, delay)
+        steps = self.about["clearing"] * above / self.mass * (np.eye(late + 1)[-2:-1] - np.eye(late + 1)[-1:])
+        return StateModel(
+            np.eye(late + 1, k=-1), np.eye(late + 1)[:, :1], steps, np.zeros((1, 1)), sample_time
+        )
 
 
 def _waiting(samples: float, sample_time: float) -> StateModel:

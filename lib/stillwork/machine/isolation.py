@@ -159,14 +159,10 @@ class FeedforwardLoop:
 
     @cached_property
     def folded(self) -> tuple[Float64[np.ndarray, "axes axes"], int]:
-        """F and d: sampling folds F (u(k - d) - u(k - d - 1)) of the held command u into the readings, at low frequencies.
-
-        The steps of a held ramp, behind the actuators' pole, are above its mean by this at the instant of a sample.
-        """
-        estimate, (late, part) = self.estimate, divmod(self.estimate.delay * self.rate, 1.0)
-        pole, since = estimate.actuator_pole * self.sample_time, (1 - part) % 1.0
-        above = 0.5 - since + 1 / pole + np.exp(-pole * since) / np.expm1(-pole)
-        return self.clearing * above * np.linalg.inv(estimate.mass), max(int(late + round(part)), 1)
+        """F and d: sampling folds F (u(k - d) - u(k - d - 1)) of the held command u into the readings, at low frequencies."""
+        estimate = self.estimate
+        above, late = folded_steps(estimate.actuator_pole * self.sample_time, estimate.delay * self.rate)
+        return self.clearing * above * np.linalg.inv(estimate.mass), late
 
     @checked
     def cleared(
@@ -264,6 +260,18 @@ class FeedforwardLoop:
             error=(after * each[:, None, :]) @ before + skyhook,
             conditioning=np.ones(len(f), complex),
         )
+
+
+@checked
+def folded_steps(pole: Positive, delay: NonNegative) -> tuple[float, int]:
+    """By how much a held ramp of one a sample, behind a `pole` (times a sample) and a `delay` (samples), exceeds its mean at a sample.
+
+    Also the samples, one or more, of the delay.
+    """
+    late, part = divmod(delay, 1.0)
+    since = (1 - part) % 1.0  # the last step
+    above = 0.5 - since + 1 / pole + np.exp(-pole * since) / np.expm1(-pole)
+    return float(above), max(int(late + round(part)), 1)
 
 
 @by_value
