@@ -150,6 +150,28 @@ def stated_uncertainty(stated: str | Mapping[str, float]) -> dict[str, float]:
     return {name: value for name, value in named.items() if value or name == "friction"}
 
 
+def _require_fit(machine: Machine, others: Sequence[Machine], rate: float, delay: float) -> None:
+    """That rate, delay and the other machines fit the machine, else `InputError`."""
+    resonance = machine.rigid_to_hz
+    lowest = search_range(machine, 0.0 if np.isfinite(resonance) else 1 / rate)[0]
+    # Bandwidths are sought to a tenth of the rate; a mode's part in the coefficients is the square of its angle a sample.
+    require_number("rate", rate, above=10 * lowest, at_most=resonance / np.sqrt(np.finfo(float).eps))
+    if delay / rate * lowest >= 1:
+        raise InputError(
+            f"delay is {delay:g}, a period of the lowest bandwidth ({lowest:.3g} Hz) or more; give fewer samples"
+        )
+    if others and max(len(each.sensors) for each in (machine, *others)) > 1:
+        raise InputError(
+            "others: with several responses only one sensor is supported; leave the other sensors out"
+        )
+    for other in others:
+        if other.units != machine.units:
+            raise InputError(
+                f"others: {other.source} is in {' and '.join(other.units)}, {machine.source} in "
+                f"{' and '.join(machine.units)}; give all in the same units"
+            )
+
+
 @checked(missing=True)
 def search_designs(
     machine: Machine,
@@ -203,24 +225,7 @@ def search_designs(
     shares = stated_uncertainty(uncertainty)
     chosen = not rate
     rate = rate or default_rate(machine)
-    resonance = machine.rigid_to_hz
-    lowest = search_range(machine, 0.0 if np.isfinite(resonance) else 1 / rate)[0]
-    # Bandwidths are sought to a tenth of the rate; a mode's part in the coefficients is the square of its angle a sample.
-    require_number("rate", rate, above=10 * lowest, at_most=resonance / np.sqrt(np.finfo(float).eps))
-    if delay / rate * lowest >= 1:
-        raise InputError(
-            f"delay is {delay:g}, a period of the lowest bandwidth ({lowest:.3g} Hz) or more; give fewer samples"
-        )
-    if others and max(len(each.sensors) for each in (machine, *others)) > 1:
-        raise InputError(
-            "others: with several responses only one sensor is supported; leave the other sensors out"
-        )
-    for other in others:
-        if other.units != machine.units:
-            raise InputError(
-                f"others: {other.source} is in {' and '.join(other.units)}, {machine.source} in "
-                f"{' and '.join(machine.units)}; give all in the same units"
-            )
+    _require_fit(machine, others, rate, delay)
     prompt, late = zip(*(_prompt(each, delay, rate) for each in (machine, *others)), strict=True)
     spreads = tuple(uncertainty_of(each, shares) for each in prompt)
     shares_text = " and ".join(
