@@ -9,7 +9,7 @@ from notebooks.motion.optimal_observer import (
     control_bandwidth_hz,
     emphasised,
     front,
-    printed_windows,
+    published_norms,
     sensitivity_weight,
     tipping_corner,
     weighted_peak,
@@ -22,6 +22,7 @@ from stillwork.estimation.observer import kalman_observer
 from stillwork.lti import h2_norm
 from stillwork.lti.reduction import truncate
 from workbook.choices.kept import read_settings
+from workbook.claims import load_entries
 
 SCALES = (0.06, 6e-9, 6e-9)
 
@@ -136,12 +137,18 @@ def test_control_bandwidth_is_where_the_open_loop_and_the_sensitivity_cross():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("mass", [5])
-def test_the_windows_of_table_5_1_are_those_that_the_page_finds_by_itself(mass):
-    """In settings.csv, found by the search of all studies, and in notebook 20, by its own brackets to 1 mHz."""
-    page = printed_windows(mass)
+def test_the_windows_of_table_5_1_end_where_a_norm_leaves_its_printed_digits():
+    """In settings.csv, found by the search of all studies."""
     kept = [each for each in read_settings("motion").windows if each.number.startswith("motion.table-5-1.")]
-    for each in (one for one in kept if dict(one.others)["measured-mass"] == str(mass)):
-        modes = {"4": "four modes", "8": "eight modes"}[dict(each.others).get("baseline-modes", "4")]
-        name = "Kalman" if each.number.endswith("kalman") else "no observer"
-        assert each.pieces == (pytest.approx(tuple(page.loc[f"{name}, {modes}", ["from", "to"]]), abs=2e-3),)
+    for each in (one for one in kept if dict(one.others)["measured-mass"] == "5"):
+        modes, printed = (
+            int(dict(each.others).get("baseline-modes", "4")),
+            load_entries("motion")[each.number].published,
+        )
+        given = {"measured_mass": 5, "baseline_modes": modes, "reference_size": 0.17, "seed": 0}
+        for low, high in each.pieces:
+            found = [
+                published_norms(f_bw=hertz, **given)[each.number]
+                for hertz in (low - 3e-3, low + 3e-3, high - 3e-3, high + 3e-3)
+            ]
+            assert [round(norm, 2) == printed for norm in found] == [False, True, True, False]
