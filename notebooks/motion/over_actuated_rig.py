@@ -30,12 +30,13 @@ from experiments.motion.rig_designs import (
     RigSettings,
     bandwidths,
     frequencies,
+    printed,
     published_settings,
     rig_controllers,
     rig_loops,
 )
 from experiments.motion.rig_loops import MEASURES, RigBandwidth, RigLoop
-from experiments.motion.rig_study import Levelling, flexible_peaks, levelling_rms, lines_of, to_error
+from experiments.motion.rig_study import Levelling, levelling_rms, lines_of, to_error
 from stillwork.base.checks import InputError
 from stillwork.control.discrete_damping import sampled_feedback
 from stillwork.control.feedback import fed_back
@@ -44,9 +45,8 @@ from stillwork.estimation.observer import NoiseIntensities
 from stillwork.lti.discretisation import zoh_modes
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.simulation import simulate
-from stillwork.signals.spectra import Spectrum, estimate_spectrum
+from stillwork.signals.spectra import estimate_spectrum
 from workbook import figures
-from workbook.claims import load_entries
 
 
 def sampled_damping(
@@ -210,27 +210,12 @@ def paint_one_entry(loops: Mapping[str, Sequence[RigLoop]], to: int):
     return figure
 
 
-def printed_errors(figure: str) -> dict[str, np.ndarray]:
-    """Printed rms errors in z (um), rx and ry (urad) by use: Table 6.3 for Fig. 6.10, Table 6.4 for Fig. 6.11.
-
-    Without observer both have those of Table 6.3.
-    """
-    entries, table = load_entries("motion"), {"fig-6-10": "table-6-3", "fig-6-11": "table-6-4"}[figure]
-    found = {}
-    for case, name in PRINTED.items():
-        where = table if case != "Original" else "table-6-3"
-        found[case] = np.array(
-            [entries[f"motion.{where}.{name}.{each}"].published for each in ("z", "rx", "ry")]
-        )
-    return found
-
-
 def paint_tracking_errors(
     errors: Mapping[str, np.ndarray], sample_time: float, printed: Mapping[str, np.ndarray]
 ):
     """True errors (m and rad) over one period, a column a use of the observer, that of the original in grey: Figs 6.10, 6.11.
 
-    Dashed: plus and minus the printed rms (um and urad), of a trajectory that is not published.
+    Dashed: plus and minus the `printed` rms (um and urad), of a trajectory that is not published.
     """
     figure, axes = figures.new(3, len(errors), height=4.6, sharex=True, sharey="row")
     every = 10  # samples between those drawn: the errors are slow
@@ -252,49 +237,18 @@ def paint_tracking_errors(
     return figure
 
 
-def paint_error_spectra(spectra: Mapping[str, Spectrum]):
-    """Spectra of the true errors over that of the original, in three directions: what Fig. 6.10 does not let one see."""
-    figure, axes = figures.new(1, 3, height=2.7, sharex=True, sharey=True)
-    original = spectra["Original"]
-    drawn = (original.frequencies_hz >= 2) & (original.frequencies_hz <= 2000)
-    for case in CASES[1:]:
-        style = {"color": COLOURS[case], "label": case, "linestyle": "--" if case == "MC and AD" else "-"}
-        style["linewidth"] = 2.4 if case == "AD" else 1.0  # MC and AD lies on it
-        ratio = np.sqrt(spectra[case].density / original.density)
-        for axis, each in zip(axes, ratio, strict=True):
-            axis.loglog(original.frequencies_hz[drawn], each[drawn], **style)
-    for k, axis in enumerate(axes):
-        axis.axhline(1, color=figures.BLACK, linewidth=0.8, label="Original")
-        axis.set_title(f"${MOTIONS[k]}$")
-    figures.label(axes, "frequency (Hz)", "error over that of the original")
-    figures.legend_below(axes[0], 4)
-    return figure
-
-
-PRINTED = dict(zip(CASES, ("original", "mc", "ad", "mc-ad"), strict=True))  # as the ledger has them
-
-
-def printed_bandwidths() -> dict[str, np.ndarray]:
-    """Table 6.2: bandwidths in z, rx and ry (Hz) of each use of the observer."""
-    printed = load_entries("motion")
-    return {
-        case: np.array([printed[f"motion.table-6-2.{name}.{each}"].published for each in ("z", "rx", "ry")])
-        for case, name in PRINTED.items()
-    }
-
-
 def paint_bandwidths(designs: Mapping[str, Mapping[str, RigBandwidth]]):
     """Table 6.2: bandwidth of every use of the observer by both measures, with the printed values."""
     figure, axes = figures.new(1, 3, height=2.6, sharey=True)
-    printed = printed_bandwidths()
+    theirs = printed("table-6-2")
     for k, axis in enumerate(axes):
         for shift, (measure, mark) in zip((-0.12, 0.12), zip(MEASURES, "os", strict=True), strict=True):
             ours = [designs[measure][case].crossing_hz.mean(axis=0)[k] for case in CASES]
             axis.plot(np.arange(4) + shift, ours, mark, markersize=5, label=f"6 dB of {measure}")
-        figures.mark_published(axis, np.arange(4), [printed[case][k] for case in CASES])
+        figures.mark_published(axis, np.arange(4), [theirs[case][k] for case in CASES])
         axis.set_xticks(range(4), [case.replace(" and ", "\nand ") for case in CASES], fontsize=7)
         axis.set_title(f"${MOTIONS[k]}$")
-    axes[0].set_ylim(0, 1.1 * max(each.max() for each in printed.values()))
+    axes[0].set_ylim(0, 1.1 * max(each.max() for each in theirs.values()))
     figures.label(axes, "use of the observer", "bandwidth (Hz)")
     figures.legend_below(axes[0], 3)
     return figure
@@ -356,14 +310,14 @@ def appendix(
     _of_the_gain(page, geometry, settings, errors, loops)
     page.text("## Bandwidths (Hz) in z, rx and ry, and what stops them")
     rows = {}
-    for case, printed in printed_bandwidths().items():
-        rows[case] = {"published": ", ".join(f"{each:g}" for each in printed)}
+    for case, theirs in printed("table-6-2").items():
+        rows[case] = {"published": ", ".join(f"{each:g}" for each in theirs)}
         for which in MEASURES:
             design = designs[which][case]
             rows[case][which] = ", ".join(f"{f:.1f}" for f in design.crossing_hz.mean(axis=0))
             rows[case][f"stopped by ({which})"] = design.active
     page.show(pd.DataFrame(rows).T)
-    _of_the_noise_model(page, geometry, settings, errors, loops["Original"], measure)
+    _of_the_noise_model(page, geometry, settings, errors, measure)
     _of_levelling(page, settings, loops, designs[measure], trajectory, records)
 
 
@@ -436,39 +390,30 @@ with $O_{yu}$ from $f$ to $\hat y_{flex}$ and $\bar\sigma$ the largest singular 
 
 
 def _of_the_noise_model(
-    page, geometry: Geometry, settings: RigSettings, errors, original, measure: str
+    page, geometry: Geometry, settings: RigSettings, errors: np.ndarray, measure: str
 ) -> None:
     page.text(r"""## The noise model
 
 Section 6.3 requires $Q_\nu\ge10^{-2}$. So large a random walk absorbs the motion of the modes. With MC *and* AD we use the decade with
-the largest bandwidth on this curve, also in the next notebook (chosen after it was seen). Right: modes whose peak the observer
-lowers.""")
+the largest bandwidth on this curve, also in the next notebook (chosen after it was seen).""")
     intensities = 10.0 ** np.array([-10, -9, -8, -7, -6, -4, -2])
     curves: dict[str, list] = {"MC": [], "MC and AD": []}
-    lowered: dict[str, list] = {"MC": [], "MC and AD": []}
-    alone = flexible_peaks(original).peaks
     for intensity in intensities:
         chosen = replace(settings, noise_model=float(intensity), noise_model_both=float(intensity))
         tried = rig_loops(geometry, chosen, errors, cases=tuple(curves))
         reached = bandwidths(tried, measure)
         for case, each in curves.items():
-            lowered[case].append(np.sum(flexible_peaks(tried[case]).peaks < alone))
             each.append(reached[case].crossing_hz.mean(axis=0)[0])
-    figure, axes = figures.new(1, 2, height=2.8)
+    figure, axis = figures.new(1, 1, height=2.8)
     for (case, each), colour in zip(curves.items(), (figures.BLUE, figures.RED), strict=True):
-        axes[0].semilogx(intensities, each, "o-", color=colour, label=case)
+        axis.semilogx(intensities, each, "o-", color=colour, label=case)
         none = intensities[np.isnan(each)]
         if len(none):
-            axes[0].plot(none, np.zeros(len(none)), "x", color=colour, label=f"{case}: none feasible")
-        axes[1].semilogx(intensities, lowered[case], "o-", color=colour, markersize=8 if case == "MC" else 4)
-    for axis in axes:
-        axis.axvline(
-            published()["noise_model"], color=figures.BLACK, linewidth=0.8, label="printed lower limit"
-        )
-        axis.set_xlabel("noise model $Q_\\nu$ (N$^2$ a sample)")
-    axes[0].set(ylabel="bandwidth in z (Hz)", ylim=(-0.5, None))
-    axes[1].set(ylabel="modes whose peak\nis lowered (of eight)", ylim=(0, 8.5))
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+            axis.plot(none, np.zeros(len(none)), "x", color=colour, label=f"{case}: none feasible")
+    limit = {"color": figures.BLACK, "linewidth": 0.8, "label": "printed lower limit"}
+    axis.axvline(published()["noise_model"], **limit)
+    axis.set(xlabel="noise model $Q_\\nu$ (N$^2$ a sample)", ylabel="bandwidth in z (Hz)", ylim=(-0.5, None))
+    axis.legend()
     page.save("noise-model", figure)
     both = np.array(curves["MC and AD"])
     page.conclude(
@@ -492,7 +437,6 @@ errors with the original and with the redesigned controllers:""")
     spectra = {
         case: estimate_spectrum(record, 1 / settings.sample_time, 2.0) for case, record in records.items()
     }
-    page.save("fig-6-10-spectra", paint_error_spectra(spectra))
     high = {case: np.sqrt(each.power(100.0, 4000.0)) for case, each in spectra.items()}
     page.show(pd.DataFrame({case: 1e6 * each for case, each in high.items()}, index=columns).T.round(5))
     page.check(

@@ -230,7 +230,6 @@ class ModalMatrixFit:
     deviation: Float64[np.ndarray, " modes"]  # standard deviation of the flexible frequencies (rad/s) ...
     damping_deviation: Float64[np.ndarray, " modes"]  # ... and of the damping ratios
     rank_one: Float64[np.ndarray, " modes"]  # second over first singular value of each mode's residue
-    compliance_deviation: float  # the same of an entry of the compliance (m/N), for known frequencies
     misfit: float  # root mean square of the weighted error; 1 where only noise remains
 
 
@@ -295,7 +294,6 @@ def fit_modal_matrix(
         frequencies * spread[0],
         damping * spread[1],
         s[1:, 1] / s[1:, 0] if s.shape[1] > 1 else np.zeros(len(s) - 1),  # one entry is of rank one
-        problem.compliance_spread(parameters),
         float(np.sqrt(np.mean(np.sum(problem.residual(parameters).reshape(2, -1) ** 2, axis=0)))),
     )
 
@@ -327,11 +325,6 @@ class MatrixProblem:
     def residues(self, parameters) -> np.ndarray:
         q, r, sizes = self._columns(parameters)
         return (np.linalg.solve(r, q.T @ self.goal) / sizes[:, None]).reshape(-1, *self.shape)
-
-    def compliance_spread(self, parameters) -> float:
-        """Standard deviation of an entry of D; each of the two parts of an error has half its variance."""
-        _, r, sizes = self._columns(parameters)
-        return float(np.linalg.norm(np.linalg.inv(r)[1]) / sizes[1] / np.sqrt(2))
 
     def spread(self, parameters) -> np.ndarray:
         """Standard deviations of the logarithms; each of the two parts of an error has half its variance."""

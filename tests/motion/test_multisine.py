@@ -140,9 +140,6 @@ def test_stated_deviations_are_those_of_many_draws():
     damping = np.array([each.model.damping[2:] for each in found])
     spread = np.sqrt(np.mean((damping - plant.damping[2:]) ** 2, axis=0))
     np.testing.assert_allclose(spread / np.mean([f.damping_deviation for f in found], axis=0), 1, atol=0.55)
-    compliance = np.array([each.model.feedthrough for each in found]) - plant.feedthrough
-    stated = np.mean([each.compliance_deviation for each in found])
-    assert np.sqrt(np.mean(compliance**2)) == pytest.approx(stated, rel=0.3)
     assert np.mean([each.misfit for each in found]) == pytest.approx(1, abs=0.08)
 
 

@@ -1,6 +1,6 @@
 """The four uses of the observer on the rig (Table 6.2) for one geometry."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, lru_cache, partial
@@ -32,9 +32,21 @@ from stillwork.lti.modal import ModalModel
 from stillwork.lti.peaks import resonance_grid
 from stillwork.lti.reduction import truncate
 from workbook import figures
+from workbook.claims import load_entries
 
 RETAINED = 11  # modes in the observer: three rigid ones and the eight of Table 6.1
 CASES = ("Original", "MC", "AD", "MC and AD")  # rows of Tables 6.2 to 6.4
+IDS = dict(zip(CASES, ("original", "mc", "ad", "mc-ad"), strict=True))  # as the ledger has them
+DIRECTIONS = ("z", "rx", "ry")
+
+
+def printed(table: str, cases: Sequence[str] = CASES) -> dict[str, Float64[np.ndarray, "3"]]:
+    """What is printed of each use in z, rx and ry: of ``table-6-2`` (Hz), ``table-6-3`` and ``table-6-3.ratio``, and their like."""
+    entries = load_entries("motion")
+    return {
+        case: np.array([entries[f"motion.{table}.{IDS[case]}.{each}"].published for each in DIRECTIONS])
+        for case in cases
+    }
 
 
 @dataclass(frozen=True)
