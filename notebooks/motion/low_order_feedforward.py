@@ -8,20 +8,23 @@ simulated error, like those of (A.1).
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 from jaxtyping import Float64
 
-from experiments.motion.designs import DESIGNS, stage_bandwidth, stage_compensator
-from experiments.motion.machines import published_setpoint, stage
+from experiments.motion.designs import DESIGNS, design_controller, stage_compensator
+from experiments.motion.machines import published_deviations, published_setpoint, stage
 from experiments.motion.pictures import paint_errors
 from stillwork.control.feedforward import (
     BASIS,
     Feedforward,
     error_loop,
+    fit_feedforward,
     least_squares,
     modified_feedforward,
+    noise_error,
     tracking_error,
     tracking_model,
 )
@@ -105,7 +108,7 @@ class MoveResponses:
         return self.alone + np.array(gains) @ self._columns(BASIS, feedforward.poles)
 
     def fit(self, poles: tuple[complex, ...] = (), basis: tuple[str, ...] = BASIS) -> LowOrder:
-        """See `fit_low_order`."""
+        """Gains and weights of the least sum of squared errors over the move, for given poles (one of a pair)."""
         gains = least_squares(self._columns(basis, poles).T, -self.alone)
         direct, weights = gains[: len(basis)], tuple(gains[len(basis) :])
         return LowOrder(Feedforward(**dict(zip(basis, direct, strict=True))), poles, weights)
@@ -113,13 +116,6 @@ class MoveResponses:
     def _columns(self, basis, poles) -> Float64[np.ndarray, "gains samples"]:
         direct = [self._direct[name] for name in basis]
         return np.array(direct + [each for pole in poles for each in self.filtered(pole)])
-
-
-def fit_low_order(
-    loop: StateModel, setpoint: Setpoint, poles: Sequence[complex] = (), basis: tuple[str, ...] = BASIS
-) -> LowOrder:
-    """Gains and weights that minimise the sum of squared errors over the move, for given poles (one of a pair)."""
-    return MoveResponses(loop, setpoint).fit(tuple(poles), basis)
 
 
 def pick_poles(
@@ -140,22 +136,58 @@ def pick_poles(
         found.append(min(fitting, key=lambda each: np.sum(responses.error(each) ** 2)))
 
 
-def paint_errors_over_order(
-    low: Mapping[str, Sequence[tuple[int, float]]],
-    copies: Mapping[str, tuple[int, float]],
-    published: Mapping[str, float],
-    noise: Mapping[str, float],
-):
+class Compared(NamedTuple):
+    """One redesigned loop of Table 3.7 with the observer copy and the low-order feedforwards; errors in m, rms in the scan."""
+
+    loop: StateModel  # as `closed_loop` gives it
+    direct: StateModel  # see `direct_loop`
+    found: list[LowOrder]
+    points: list[tuple[int, float]]  # of these the states and the error
+    copied: tuple[int, float]  # of the copy the states and the error
+    alone: float  # what noise alone makes
+
+
+@cache
+def original_gains(sample_time: float, position: int, redesign: str) -> Feedforward:
+    """Tuned in the loop without observer, as in the thesis."""
+    plant, controller = stage().at([0], [position - 1]), design_controller("PID", redesign).state_space()
+    return fit_feedforward(error_loop(closed_loop(plant, None, controller)), published_setpoint(sample_time))
+
+
+@cache
+def compare(
+    name: str,
+    sample_time: float = 1e-4,
+    position: int = 5,
+    redesign: str = "own limit",
+    largest_order: int = 8,
+    seed: int = 1,
+) -> Compared:
+    """The design `name` of Table 3.7, measured at a mass; the noise is that of section 3.1."""
+    setpoint, window = published_setpoint(sample_time), published_setpoint(sample_time).scanning
+    block, controller = (
+        stage_compensator(position, DESIGNS[name]),
+        design_controller(name, redesign).state_space(),
+    )
+    loop = closed_loop(stage().at([0], [position - 1]), block, controller)
+    direct, copy = direct_loop(loop), modified_feedforward(block, controller)
+    found = pick_poles(direct, setpoint, copy_poles(copy), largest_order)
+    points = [(each.order, rms(each.error(direct, setpoint)[window])) for each in found]
+    copied = tracking_error(error_loop(loop), setpoint, original_gains(sample_time, position, redesign))
+    noise = noise_error(loop, sample_time, 22_000, published_deviations(), np.random.default_rng(seed))
+    return Compared(loop, direct, found, points, (len(copy.a), rms(copied[window])), rms(noise[0, 2_000:]))
+
+
+def paint_errors_over_order(designs: Mapping[str, Compared], published: Mapping[str, float]):
     """Rms error in the scan over the number of states of the feedforward, a column a design, with noise above and without below.
 
-    Points are (states, rms in m) of low-order feedforwards; the observer copy is a level. `noise` alone makes so much (m);
-    published is Table 3.7 (nm), with noise.
+    Published is Table 3.7 (nm), with noise.
     """
-    figure, axes = figures.new(2, len(low), height=4.4, sharex="col", sharey="row", squeeze=False)
-    for column, (name, points) in zip(axes.T, low.items(), strict=True):
-        states, errors = np.array(points).T
-        order, copied = copies[name]
-        for axis, alone in zip(column, (noise[name], 0.0), strict=True):
+    figure, axes = figures.new(2, len(designs), height=4.4, sharex="col", sharey="row", squeeze=False)
+    for column, (name, each) in zip(axes.T, designs.items(), strict=True):
+        states, errors = np.array(each.points).T
+        order, copied = each.copied
+        for axis, alone in zip(column, (each.alone, 0.0), strict=True):
             axis.semilogy(states, 1e9 * np.hypot(errors, alone), "o-", color=figures.BLUE, label="low order")
             level = [1e9 * np.hypot(copied, alone)] * 2
             axis.semilogy([0, order], level, color=figures.GREY, linewidth=2, label="observer copy")
@@ -184,38 +216,34 @@ def appendix(
     page,
     *,
     setpoint: Setpoint,
-    direct: Mapping[str, StateModel],
-    found: Mapping[str, Sequence[LowOrder]],
-    copied: Mapping[str, tuple[int, float]],
-    low: Mapping[str, Sequence[tuple[int, float]]],
+    designs: Mapping[str, Compared],
     published: Mapping[str, float],
-    alone: Mapping[str, float],
     moves: Mapping[str, Setpoint],
     other: pd.DataFrame,
 ) -> None:
     """What the page of motion/28 judges beside its answer."""
     window, rows = setpoint.scanning, {}
     page.text('## Errors in the scan (nm)\n\n"Rigid body and snap" are two of the four gains of (A.1).')
-    for name in found:
-        two = fit_low_order(direct[name], setpoint, (), ("acceleration", "snap")).error(
-            direct[name], setpoint
-        )
+    for name, each in designs.items():
+        responses = MoveResponses(each.direct, setpoint)
+        two = responses.error(responses.fit((), ("acceleration", "snap")))
         rows[name] = {
             "published, with noise": published[name],
-            "observer copy": 1e9 * copied[name][1],
-            "with noise": 1e9 * np.hypot(copied[name][1], alone[name]),
-            "its states": copied[name][0],
+            "observer copy": 1e9 * each.copied[1],
+            "with noise": 1e9 * np.hypot(each.copied[1], each.alone),
+            "its states": each.copied[0],
             "rigid body and snap": 1e9 * rms(two[window]),
         }
-        for order, error in low[name]:
+        for order, error in each.points:
             rows[name]["four gains" if order == 0 else f"and {order} states"] = 1e9 * error
     page.show(pd.DataFrame(rows).round(2))
-    for name, each in found.items():
-        picked = ", ".join(f"{abs(pole) / (2 * np.pi):.0f} Hz" for pole in each[-1].poles)
+    for name, each in designs.items():
+        picked = ", ".join(f"{abs(pole) / (2 * np.pi):.0f} Hz" for pole in each.found[-1].poles)
         page.show(f"{name}: poles in the order picked at {picked}")
-    whole = [round(1e9 * rms(each.error(direct["AD"], setpoint)), 1) for each in found["AD"][:2]]
+    damped = designs["AD"]
+    whole = [round(1e9 * rms(each.error(damped.direct, setpoint)), 1) for each in damped.found[:2]]
     page.show(f"AD, rms over the whole move: {whole[0]} nm with four gains, {whole[1]} nm with two states")
-    poor = [low[name][0][1] > copied[name][1] for name in ("MC", "MC and AD")]
+    poor = [designs[name].points[0][1] > designs[name].copied[1] for name in ("MC", "MC and AD")]
     page.check("motion.appendix-a.four-gains-poor", float(np.mean(poor)))
     page.text("""## Other moves (nm)
 
@@ -229,46 +257,30 @@ wrong motor constant.""")
 
 
 def over_moves(
-    loops: Mapping[str, StateModel],
-    direct: Mapping[str, StateModel],
-    found: Mapping[str, Sequence[LowOrder]],
-    moves: Mapping[str, Setpoint],
-    original: Feedforward,
-    alone: Mapping[str, float],
-    largest: int,
+    designs: Mapping[str, Compared], moves: Mapping[str, Setpoint], original: Feedforward, largest: int
 ) -> pd.DataFrame:
     """Rms errors in the scan (nm) of the same gains on several moves, the first being the one they were tuned on."""
     rows, tuned = {}, next(iter(moves.values()))
     wrong = replace(original, **{gain: 1.001 * getattr(original, gain) for gain in BASIS})
-    for name, loop in loops.items():
-        hidden = error_loop(loop)
+    for name, compared in designs.items():
+        hidden = error_loop(compared.loop)
         off = rms(tracking_error(hidden, tuned, wrong)[tuned.scanning])
-        rows[name] = {"noise alone": alone[name], "observer copy, 0.1 % wrong": off}
+        rows[name] = {"noise alone": compared.alone, "observer copy, 0.1 % wrong": off}
         for title, move in moves.items():
             errors = {"observer copy": tracking_error(hidden, move, original)}
-            for each in found[name]:
+            for each in compared.found:
                 if each.order in (2, largest):
-                    errors[f"{each.order} states"] = each.error(direct[name], move)
+                    errors[f"{each.order} states"] = each.error(compared.direct, move)
             rows[name] |= {f"{key}, {title}": rms(error[move.scanning]) for key, error in errors.items()}
     return 1e9 * pd.DataFrame(rows)
 
 
-@cache
-def _prepared(name: str) -> tuple[object, list[LowOrder]]:
-    """The redesigned loop of mass 5 and its low-order feedforwards."""
-    setpoint, block = published_setpoint(), stage_compensator(5, DESIGNS[name])
-    controller = stage_bandwidth(name).controller.state_space()
-    loop = direct_loop(closed_loop(stage().at([0], [4]), block, controller))
-    return loop, pick_poles(loop, setpoint, copy_poles(modified_feedforward(block, controller)), 8)
-
-
 def paint_low_order(design: str, states: int, gain: float):
     """Explorer: error over the move for a feedforward of so many states, its filters' gains scaled by `gain` %."""
-    loop, found = _prepared(design)
-    chosen = [each for each in found if each.order <= states][-1]
+    compared, setpoint = compare(design), published_setpoint(1e-4)
+    chosen = [each for each in compared.found if each.order <= states][-1]
     chosen = replace(chosen, weights=tuple(gain / 100 * w for w in chosen.weights))
-    setpoint = published_setpoint()
-    error = chosen.error(loop, setpoint)
+    error = chosen.error(compared.direct, setpoint)
     size = 1e9 * rms(error[setpoint.scanning])
     title = f"{chosen.order} states: {size:.2f} nm rms in the scan (grey)"
     return paint_errors(setpoint, {"error": error}, title)

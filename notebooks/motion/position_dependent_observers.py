@@ -8,8 +8,8 @@ import pandas as pd
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from experiments.motion.designs import DAMPING, Design
-from experiments.motion.machines import shapes_along, stage, stage_mass
+from experiments.motion.designs import DAMPING, DESIGNS, Design
+from experiments.motion.machines import published_noise, shapes_along, stage, stage_mass
 from experiments.motion.pictures import (
     LABELS,
     add_magnitude,
@@ -26,7 +26,6 @@ from experiments.motion.scan_study import along_scan
 from stillwork.control.applications import Application
 from stillwork.control.bandwidth import Loop, make_loop
 from stillwork.control.pid import Pid, PidFamily
-from stillwork.estimation.observer import NoiseIntensities
 from stillwork.estimation.robust import kalman_gains
 from stillwork.estimation.time_varying import estimate
 from stillwork.lti.modal import ModalModel
@@ -53,7 +52,29 @@ def place_loops(
     ]
 
 
-AMPLITUDE = 0.01  # N, of the force
+def observer_loops(
+    plant: ModalModel, grid: ArrayLike, noise_model: float, both_noise_model: float, selectivity: float
+) -> dict[str, dict[float, Loop]]:
+    """The loops of every use of the observer at the masses, by use and place (m); noise models of MC and of both."""
+    places = [float(round(place, 9)) for place in np.asarray(grid)]
+    designs = {
+        "bare": Design(),
+        "MC": Design(Application(compensate=True), noise_model),
+        "AD": DESIGNS["AD, no band-pass"],
+        "AD, band-pass": Design(Application(damping=DAMPING, selectivity=selectivity)),
+        "MC and AD": Design(Application(compensate=True, damping=DAMPING), both_noise_model),
+    }
+    return {
+        name: dict(zip(places, place_loops(plant, grid, places, each, points=300, around=20), strict=True))
+        for name, each in designs.items()
+    }
+
+
+AMPLITUDE, WAIT, REACH = (
+    0.01,
+    0.3,
+    0.05,
+)  # of the force (N); before the sensor moves (s), and from the node (m)
 
 
 @dataclass(frozen=True)
@@ -80,18 +101,13 @@ def move(
 
 
 def pass_node(
-    plant: ModalModel,
-    grid: ArrayLike,
-    places: ArrayLike,
-    mode: int,
-    noise: NoiseIntensities,
-    sample_time: float,
-    phase: float = 0.0,
+    plant: ModalModel, grid: ArrayLike, places: ArrayLike, mode: int, sample_time: float, phase: float = 0.0
 ) -> Passage:
     """Run the time-varying Kalman filter while an unknown force excites one mode at its resonance.
 
-    The filter models all modes of the plant and is designed for `noise`; the sensor follows `places` (m).
+    The filter models all modes of the plant, with the noise of section 3.1; the sensor follows `places` (m).
     """
+    noise = published_noise()
     places = np.asarray(places, float)
     shapes = shapes_along(plant, grid, places)
     model = along_scan(plant, sample_time, shapes, noise.process / sample_time, noise.sensor / sample_time)
@@ -430,14 +446,28 @@ def _of_the_node(page, runs: Mapping[str, Sequence[Passage]], left_at: float) ->
     page.show(pd.Series({name: each.max() for name, each in after.items()}).round(2))
 
 
-def errors_past(
-    plant: ModalModel, grid: np.ndarray, noise: NoiseIntensities, sample_time: float
-) -> pd.Series:
+def errors_past(plant: ModalModel, grid: np.ndarray, sample_time: float) -> pd.Series:
     """Largest error of the first mode's estimate, over its motion, past a node at several speeds (m/s)."""
-    known, wait, reach = plant.modes(slice(0, 4)), 0.3, 0.05
-    node, worst = float(nodes(plant, grid, 1)[0]), {}
+    known, worst = plant.modes(slice(0, 4)), {}
+    node = float(nodes(plant, grid, 1)[0])
     for speed in (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0):
-        track = move(node - reach, wait, speed, 2 * reach, 0.05, sample_time)
-        one = pass_node(known, grid, track, 1, noise, sample_time)
-        worst[speed] = one.worst(wait, wait + 2 * reach / speed + 0.05)
+        track = move(node - REACH, WAIT, speed, 2 * REACH, 0.05, sample_time)
+        one = pass_node(known, grid, track, 1, sample_time)
+        worst[speed] = one.worst(WAIT, WAIT + 2 * REACH / speed + 0.05)
     return pd.Series(worst)
+
+
+def node_runs(
+    plant: ModalModel, grid: np.ndarray, speed: float, phases: int, sample_time: float
+) -> tuple[float, dict[str, list[Passage]]]:
+    """When the sensor leaves the node (s), and what is estimated past it and on it, for several phases of the force."""
+    known, node, left_at = plant.modes(slice(0, 4)), float(nodes(plant, grid, 1)[0]), WAIT + REACH / speed
+    tracks = {
+        "passing": move(node - REACH, WAIT, speed, 2 * REACH, 0.05, sample_time),
+        "staying": move(node, left_at, speed, REACH, 0.05, sample_time),
+    }
+    angles = 2 * np.pi * np.arange(phases) / phases
+    return left_at, {
+        name: [pass_node(known, grid, track, 1, sample_time, angle) for angle in angles]
+        for name, track in tracks.items()
+    }

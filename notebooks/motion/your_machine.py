@@ -65,6 +65,17 @@ def modes_table(machine: Machine) -> pd.DataFrame:
     return pd.DataFrame(columns, index=range(1, count + 1))
 
 
+def reached_table(made: Designed) -> pd.DataFrame:
+    """How far every use gets, on the model and on the measurement, and whose design it takes."""
+    shown = ("on the model (Hz)", "on the measurement (Hz)", "extra turns")
+    rows = {
+        use: {name: each.summary[name] for name in shown if name in each.summary}
+        | {"design": f"as {made.same[use]}" if use in made.same else "own"}
+        for use, each in made.found.items()
+    }
+    return pd.DataFrame(rows).T
+
+
 def envelope(x: np.ndarray, magnitude: np.ndarray) -> np.ndarray:
     """Index of the largest and the smallest magnitude in each of 500 logarithmic stretches: no peak is lost."""
     place = np.searchsorted(np.geomspace(x[0], x[-1], 501)[1:-1], x)
@@ -144,6 +155,9 @@ merely cancel another; `modes_hz` overrides that. The mass follows from the line
 free body's rotation at the force. A response against the direction of the force gets the other sign.""")
     if machine.fit is not None:
         page.save("stabilisation", designing.paint_stabilisation(machine.fit))
+    page.show(f"{machine.source}:", *machine.notes)
+    page.text("## What stops each loop")
+    page.show(*made.lines())
     page.text("## Output sensitivity at the limit")
     page.save("sensitivities", paint_sensitivities(made.found, machine))
     peaks = [

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from experiments.motion.machines import chain_matrix, published_noise, shapes_along, stage
+from experiments.motion.machines import chain_matrix, shapes_along, stage
 from experiments.motion.position_dependence import at_place, stage_grid
 from notebooks.motion.position_dependent_observers import (
     move,
@@ -30,12 +30,12 @@ def test_shapes_vanish_at_their_nodes(plant):
 def test_standing_on_a_node_loses_the_mode_and_passing_it_faster_loses_less(plant):
     known, node = plant.modes([0, 1]), float(nodes(plant, GRID, 1)[0])
     sample_time = 2e-4
-    stood = pass_node(known, GRID, np.full(1500, node), 1, published_noise(), sample_time)
+    stood = pass_node(known, GRID, np.full(1500, node), 1, sample_time)
     assert stood.worst(0.25, 0.3) == pytest.approx(1.0, abs=0.02)
     slow, fast = (
-        pass_node(
-            known, GRID, move(node - 0.03, 0.2, v, 0.06, 0.02, sample_time), 1, published_noise(), sample_time
-        ).worst(0.2, 0.22 + 0.06 / v)
+        pass_node(known, GRID, move(node - 0.03, 0.2, v, 0.06, 0.02, sample_time), 1, sample_time).worst(
+            0.2, 0.22 + 0.06 / v
+        )
         for v in (0.5, 5.0)
     )
     assert fast < slow < 1
