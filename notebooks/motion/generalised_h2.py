@@ -179,36 +179,27 @@ def paint_worst(force: float, detuning: float):
     return figure
 
 
-@dataclass(frozen=True)
-class Rivals:
-    """Other filters than the Kalman filter, by what they are."""
-
-    norms: dict[str, list[float]]  # over the Kalman filter's, one a filter
-    above: dict[str, list[bool]]  # whether the Gramian exceeds the Kalman filter's at every sample
-
-
 def other_filters(
     a, b, c, process, noise, gains, found: PeakGain, trials: int, rng: np.random.Generator
-) -> Rivals:
-    """Randomly changed gains, the gain frozen at its last value, and a filter designed for a hundred times the force."""
-    tried: dict[str, list[np.ndarray]] = {
-        f"gains off by {part:.0%}": [
-            gains * (1 + part * rng.standard_normal(gains.shape)) for _ in range(trials // 3)
-        ]
+) -> pd.DataFrame:
+    """Randomly changed gains, the gain frozen at its last value, and a filter designed for a hundred times the force.
+
+    A row a filter: its norm over the Kalman filter's, and whether its Gramian exceeds that filter's at every sample.
+    """
+    tried = [
+        (f"gains off by {part:.0%}", gains * (1 + part * rng.standard_normal(gains.shape)))
         for part in (0.01, 0.1, 0.3)
-    }
-    tried["last gain, frozen"] = [np.broadcast_to(gains[-1], gains.shape)]
-    tried["designed for 100 times the force"] = [predictor_gains(a, b, c, 1e4 * process, noise)]
-    rivals = Rivals({}, {})
-    for name, each in tried.items():
-        rivals.norms[name], rivals.above[name] = [], []
-        for other in each:
-            own = generalised_h2_norm(error_system(a, b, c, process, noise, other))
-            lowest = np.linalg.eigvalsh(own.gramians[1:] - found.gramians[1:])[:, 0]
-            largest = np.linalg.eigvalsh(own.gramians[1:])[:, -1]
-            rivals.norms[name].append(own.norm / found.norm)
-            rivals.above[name].append(bool(np.all(lowest >= -1e-10 * largest)))
-    return rivals
+        for _ in range(trials // 3)
+    ]
+    tried.append(("last gain, frozen", np.broadcast_to(gains[-1], gains.shape)))
+    tried.append(("designed for 100 times the force", predictor_gains(a, b, c, 1e4 * process, noise)))
+    rows = []
+    for name, other in tried:
+        own = generalised_h2_norm(error_system(a, b, c, process, noise, other))
+        lowest = np.linalg.eigvalsh(own.gramians[1:] - found.gramians[1:])[:, 0]
+        largest = np.linalg.eigvalsh(own.gramians[1:])[:, -1]
+        rows.append((name, own.norm / found.norm, bool(np.all(lowest >= -1e-10 * largest))))
+    return pd.DataFrame(rows, columns=["filter", "norm", "above"])
 
 
 def paint_worst_disturbance(system: ErrorSystem, found: PeakGain, sample_time: float):
@@ -235,19 +226,17 @@ def paint_worst_disturbance(system: ErrorSystem, found: PeakGain, sample_time: f
     return figure
 
 
-def appendix(page, *, system: ErrorSystem, found: PeakGain, rivals: Rivals, still: tuple) -> None:
+def appendix(page, *, system: ErrorSystem, found: PeakGain, rivals: pd.DataFrame, still: tuple) -> None:
     """What the page of motion/22 judges beside its answer; `still` is (A, B, C, Q, R) with the sensor at rest."""
     page.text("""## Any other filter is worse
 
 By the proof, at every sample the Gramian of any other predictor exceeds that of the Kalman filter in every direction. Norms over the
 Kalman filter's:""")
-    rows = {
-        name: (min(norms), float(np.median(norms)), float(np.mean(rivals.above[name])))
-        for name, norms in rivals.norms.items()
-    }
-    names = ["least norm over Kalman's", "median", "Gramian above, fraction"]
-    page.show(pd.DataFrame(rows, index=names).T.round(4))
-    page.check("motion.theorem-5-5-1.gramians", *fraction(np.concatenate(list(rivals.above.values()))))
+    each = rivals.groupby("filter", sort=False)
+    table = pd.concat([each["norm"].min(), each["norm"].median(), each["above"].mean()], axis=1)
+    table.columns = ["least norm over Kalman's", "median", "Gramian above, fraction"]
+    page.show(table.rename_axis(None).round(4))
+    page.check("motion.theorem-5-5-1.gramians", *fraction(rivals["above"].to_numpy()))
     page.text(r"""## The lemma and the corollary
 
 Lemma 5.5.2: a gain achieves a norm below $\gamma$ exactly if there are matrices $K_k$ with

@@ -48,24 +48,6 @@ def paint_leaderboard(ranks: pd.DataFrame, critical: float):
     return figure
 
 
-def paint_matrix(table: pd.DataFrame, over: str):
-    """Errors over those of the Kalman filter, an observer a row, over machines or uncertainties; a cross where zero errs less."""
-    figure, axis = figures.new(1, 1, height=4.6)
-    columns, rows = np.arange(table.shape[1]), np.arange(table.shape[0])
-    doublings = np.log2(table.to_numpy() / table.loc["Kalman"].to_numpy())
-    mesh = axis.pcolormesh(columns, rows, doublings, cmap="coolwarm", vmin=-2, vmax=2)
-    axis.set_xticks(columns, table.columns, rotation=60, ha="right")
-    axis.set_yticks(rows, table.index)
-    row, column = np.nonzero(table.to_numpy() > 1)
-    axis.plot(column, row, "x", color=figures.BLACK, markersize=4, label="worse than estimating zero")
-    axis.invert_yaxis()
-    axis.set(xlabel=over, ylabel="observer")
-    figures.legend_below(axis, 1)
-    bar = figure.colorbar(mesh, ax=axis, label="error over that of the Kalman filter", extend="both")
-    bar.set_ticks([-2, -1, 0, 1, 2], labels=["1/4", "1/2", "1", "2", "4"])
-    return figure
-
-
 def paint_cost(speed: pd.Series, error: pd.Series, unstable: pd.Series):
     """Error, loops lost and time a sample of every observer, the least error on top; dashed: the Kalman filter."""
     figure, axes = figures.new(1, 3, height=3.8, sharey=True)
@@ -223,8 +205,8 @@ contains zero and is wider.""")
     page.text("Medians by machine and by uncertainty:")
     rows = table[table["score"] == "flexible"]
     single = rows.groupby(["plant", "uncertainty"], sort=False)[names].median()
-    for name, over, what in (("plants", "plant", "machine"), ("uncertainties", "uncertainty", "uncertainty")):
-        page.save(name, paint_matrix(single.groupby(over, sort=False).median().T, what))
+    for over in ("plant", "uncertainty"):
+        page.show(single.groupby(over, sort=False).median().T.round(2))
     page.text("""## In a control loop
 
 *Tracking* and *rejection* are errors over those of a cautious loop; *bandwidth* is the largest with a sensitivity below 6 dB, over

@@ -318,12 +318,9 @@ def candidates(contest: Contest, tries: int) -> Candidates:
     }
 
 
-def flexible_errors(scan: Scan, records: Records, gains: FilterGains) -> Float64[np.ndarray, " runs"]:
-    """`Errors.flexible` of a filter on recorded scans, without the rest."""
-    window = scan.setpoint.scanning
-    true = records.states[:, 2:, window]
-    error = rms(true - estimate(gains, records.u, records.y)[:, 2:, window]) / true.std(axis=2)
-    return np.sqrt(np.mean(error**2, axis=1))
+def flexible_median(contest: Contest, records: Records, gains: FilterGains) -> float:
+    """Median over the stages of `Errors.flexible` of a filter on recorded scans."""
+    return float(np.median(judge(contest.scan, records, estimate(gains, records.u, records.y)).flexible()))
 
 
 def order_trial(
@@ -345,10 +342,9 @@ def order_trial(
     )
     found = {}
     for name, each in tried.items():
-        setting, best = min(each, key=lambda one: np.median(flexible_errors(contest.scan, tuning, one[1])))
-        found[name] = np.median(flexible_errors(contest.scan, judged, best))
-        found[f"{name}: setting"] = setting
-    found["Kalman, given noise"] = np.median(flexible_errors(contest.scan, judged, kalman(contest, 1.0)))
+        setting, best = min(each, key=lambda one: flexible_median(contest, tuning, one[1]))
+        found[name], found[f"{name}: setting"] = flexible_median(contest, judged, best), setting
+    found["Kalman, given noise"] = flexible_median(contest, judged, kalman(contest, 1.0))
     return found
 
 
@@ -571,17 +567,6 @@ def paint_statements(
     return figure
 
 
-def spreads(
-    axis, rows: Sequence[str], samples: Sequence[np.ndarray], colour: str, label: str, offset: float = 0.0
-):
-    """Median and central 95 % of runs as a dot on a bar, one row each."""
-    places = np.arange(len(rows)) + offset
-    low, middle, high = (np.array([np.quantile(s, q) for s in samples]) for q in (0.025, 0.5, 0.975))
-    ends = [middle - low, high - middle]
-    axis.errorbar(middle, places, xerr=ends, fmt="o", color=colour, capsize=3, markersize=4, label=label)
-    axis.set_yticks(np.arange(len(rows)), rows)
-
-
 def paint_cases(ahead: Mapping[tuple[str, bool], np.ndarray]):
     """Share of the pairs in which the tuned Kalman filter is ahead, by law of the errors and by whether the rigid body errs.
 
@@ -620,14 +605,15 @@ def paint_table(
 ):
     """Table 5.2 by law of the errors: thin bars hold 95 % of the plants, thick ones 95 % of the medians drawn again."""
     figure, axis = figures.new(1, 1, height=3.8)
-    colours = (figures.RED, figures.BLUE, figures.GREEN, figures.GREY)
-    for offset, (law, percent), colour in zip(
-        np.linspace(-0.3, 0.3, len(laws)), laws.items(), colours, strict=False
-    ):
-        spreads(axis, list(percent), list(percent.values()), colour, law, offset)
+    colours, rows = (figures.RED, figures.BLUE, figures.GREEN, figures.GREY), np.arange(len(PRINTED))
+    for offset, law, colour in zip(np.linspace(-0.3, 0.3, len(laws)), laws, colours, strict=True):
+        low, middle, high = np.quantile(list(laws[law].values()), [0.025, 0.5, 0.975], axis=1)
+        style = {"fmt": "o", "color": colour, "capsize": 3, "markersize": 4, "label": law}
+        axis.errorbar(middle, rows + offset, xerr=[middle - low, high - middle], **style)
         for place, each in enumerate(medians[law].values()):
             axis.plot(np.quantile(each, [0.025, 0.975]), [place + offset] * 2, color=colour, linewidth=4)
-    figures.mark_published(axis, list(PRINTED.values()), np.arange(len(PRINTED)), "published, plant 5 % off")
+    axis.set_yticks(rows, list(PRINTED))
+    figures.mark_published(axis, list(PRINTED.values()), rows, "published, plant 5 % off")
     axis.axvline(100, color=figures.BLACK, linewidth=0.8)
     axis.set_xlabel("rms of the true error in the scanning phase (% of the case without observer)")
     axis.invert_yaxis()
@@ -745,8 +731,10 @@ def output_values(off: Mapping[str, np.ndarray], exact: Mapping[str, np.ndarray]
     }
 
 
-def near_limit(search: LineSearch) -> Values:
-    """How often the optimal lambda lies within twice its lower limit (section 5.3.2)."""
+def near_limit(calm: Contest, records: Records, size: float) -> Values:
+    """How often the optimal lambda lies within twice its lower limit (section 5.3.2), on the first of recorded scans."""
+    bound = norm_bound(calm.model, calm.derivatives, size)
+    search = regularised_line_search(calm.model, bound, records.u[0], records.y[0])
     return {"motion.section-5-3-2.lambda-near-limit": float(np.mean(search.ratio[1:] <= 2))}
 
 
@@ -759,9 +747,7 @@ def outputs(*, error_law: str, rigid_body_errs: bool, estimation_sample_time: fl
         for size in (0.05, 0.0)
     )
     records = sample_scans(scan, PLANTS, seed, 0.05, error_law, False)
-    bound = norm_bound(calm.model, calm.derivatives, 0.05)
-    search = regularised_line_search(calm.model, bound, records.u[0], records.y[0])
-    return output_values(off, exact) | near_limit(search)
+    return output_values(off, exact) | near_limit(calm, records, 0.05)
 
 
 def order(*, error_law: str, rigid_body_errs: bool, seed: int) -> Values:
@@ -1091,9 +1077,7 @@ def _of_lambda(page, calm: Contest, calm_records: Records, error_size: float) ->
 
 At every sample the regularised filter minimises a scalar function over $\lambda\ge\lambda_l$. The thesis uses $2\lambda_l$, because
 the optimum "lies close to the lower bound". Judged is the share of samples at which it lies below.""")
-    bound = norm_bound(calm.model, calm.derivatives, error_size)
-    search = regularised_line_search(calm.model, bound, calm_records.u[0], calm_records.y[0])
-    for claim, ours in near_limit(search).items():
+    for claim, ours in near_limit(calm, calm_records, error_size).items():
         page.check(claim, ours)
 
 
