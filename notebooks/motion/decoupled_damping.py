@@ -140,7 +140,6 @@ def appendix(
 ) -> None:
     """What the page of motion/18 judges beside its answer."""
     _of_constraints(page, plants, settings, systems["undamped"])
-    _of_both(page, plants["over-actuation"], settings)
     _of_stiffness(page, plants, settings, systems["undamped"])
     page.text("""## With the observer
 
@@ -177,8 +176,8 @@ peak returns. Total actuation (Fig. 4.20): five actuators for five modes; off th
     page.save("fig-4-18", paint_transfer_matrix(drawn, slopes={(0, 1): 0, (1, 0): -1}, low_hz=0.1))
     free = decoupled_plant(three, decouple(three), constrained_damping(three, wanted)[:, fed])
     bare = decoupled_plant(three, decouple(three), np.zeros((3, fed.stop)))
-    drawn = {"undamped": bare, "over-actuation": free}
-    page.save("fig-4-19", paint_transfer_matrix(drawn, slopes={(0, 1): 0, (1, 0): 0}))
+    over = {"undamped": bare, "over-actuation": free}
+    page.save("fig-4-19", paint_transfer_matrix(over, slopes={(0, 1): 0, (1, 0): 0}))
     alone = constrained_damping(five, wanted)[:, fed]
     original, total = (decoupled_plant(five, decouple(five), gain) for gain in (np.zeros_like(alone), alone))
     page.save("fig-4-20", paint_transfer_matrix({"undamped": original, "total actuation": total}))
@@ -193,6 +192,7 @@ peak returns. Total actuation (Fig. 4.20): five actuators for five modes; off th
     turned = decoupled_plant(five, decouple(five), -alone)
     printed_sign = np.round(added_damping(five, turned)[0], 4) + 0.0
     page.show(f"added damping ratio with the printed sign: {printed_sign}")
+    _of_both(page, three, over, settings)
 
 
 def _wanted(settings: Settings) -> tuple[list[float], slice]:
@@ -201,17 +201,14 @@ def _wanted(settings: Settings) -> tuple[list[float], slice]:
     return increases, slice(0, 2 * (2 + settings.damped))
 
 
-def _of_both(page, three: ModalModel, settings: Settings) -> None:
+def _of_both(page, three: ModalModel, drawn: Mapping[str, StateModel], settings: Settings) -> None:
     page.text("""## Both together
 
 Remark 4.3.4: three actuators keep the flexible modes from each other; the band-passes (4.16) keep them from the rigid body.""")
     wanted, fed = _wanted(settings)
     apart = constrained_damping(three, wanted, undisturbed=(2, 3, 4))[:, fed]
-    free = decoupled_plant(three, decouple(three), constrained_damping(three, wanted)[:, fed])
-    bare = decoupled_plant(three, decouple(three), np.zeros((3, fed.stop)))
     both = decoupled_plant(three, decouple(three), band_passed(three, apart, settings.selectivity))
-    drawn = {"undamped": bare, "over-actuation": free, "both": both}
-    page.save("combined", paint_transfer_matrix(drawn, slopes={(0, 1): 0, (1, 0): 0}))
+    page.save("combined", paint_transfer_matrix({**drawn, "both": both}, slopes={(0, 1): 0, (1, 0): 0}))
     forces = np.abs(three.input_shapes[2:] @ apart[:, np.any(apart, axis=0)])
     own = np.eye(len(forces), settings.damped, dtype=bool)
     left = forces[~own].max() / forces[own].min()

@@ -26,8 +26,10 @@ from stillwork.lti.state_space import StateModel
 from workbook import figures, proportion_interval
 from workbook.studies import Study
 
+Places = Sequence[float] | np.ndarray  # along the beam, as parts of its length
 
-def paint_beam_layout(actuators: Sequence[float] | np.ndarray, sensors: Sequence[float] | np.ndarray):
+
+def paint_beam_layout(actuators: Places, sensors: Places):
     """Flexible mode shapes of the uniform beam with the places of actuators and sensors."""
     published = beam_parameters()["published"]["frequencies_hz"]
     along = np.linspace(0, 1, 201)
@@ -73,18 +75,12 @@ class Moved(NamedTuple):
     kept: Float64[np.ndarray, "shifts modes"]
 
 
-def move_actuators(
-    actuators: Sequence[float] | np.ndarray,
-    sensors: Sequence[float] | np.ndarray,
-    settings: Settings,
-    travel: Sequence[float] | np.ndarray,
-    taper: float = 0.0,
-) -> Moved:
-    """Both actuators at eleven places along `travel`."""
+def move_actuators(actuators: Places, sensors: Places, settings: Settings, taper: float = 0.0) -> Moved:
+    """Both actuators at eleven places along `TRAVEL`."""
     actuators, sensors = np.array(actuators), np.array(sensors)
     retained, rows = 2 + settings.damped, []
     built = damping_gain(truncate(beam(actuators, sensors, taper=taper), retained), settings.increase)
-    shifts = np.linspace(*travel, 11)
+    shifts = np.linspace(*TRAVEL, 11)
     for shift in shifts:
         there = beam(actuators + shift, sensors, taper=taper)
         follows = damping_gain(truncate(there, retained), settings.increase)
@@ -101,20 +97,14 @@ class Seen(NamedTuple):
     stale: Float64[np.ndarray, " shifts"]
 
 
-def move_sensors(
-    actuators: Sequence[float] | np.ndarray,
-    sensors: Sequence[float] | np.ndarray,
-    settings: Settings,
-    travel: Sequence[float] | np.ndarray,
-    taper: float = 0.0,
-) -> Seen:
-    """Both sensors at six places along `travel`, with the C_f of each."""
+def move_sensors(actuators: Places, sensors: Places, settings: Settings, taper: float = 0.0) -> Seen:
+    """Both sensors at six places along `SENSOR_TRAVEL`, with the C_f of each."""
     actuators, sensors = np.array(actuators), np.array(sensors)
     slow, found = (0.03, 0.3), []  # Hz
     plant = beam(actuators, sensors, taper=taper)
     modes = plant.frequencies[2 : 2 + settings.damped]
     idle, built = np.zeros((2, 2 * len(plant.frequencies[: 2 + settings.damped]))), decouple(plant)
-    for shift in np.linspace(*travel, 6):
+    for shift in np.linspace(*SENSOR_TRAVEL, 6):
         there = beam(actuators, sensors + shift, taper=taper)
         bare, seen = decoupled_plant(there, decouple(there), idle), with_compensation(there, settings)
         lowered = np.abs(seen.frequency_response(modes)) < np.abs(bare.frequency_response(modes))
@@ -138,21 +128,13 @@ def moving_values(moved: Moved, seen: Seen, increase: float) -> Values:
 def moving(*, second_actuator: float, beam_taper: float, seed: int) -> Values:
     """The same on another beam; it has no fast variant."""
     places, settings = ((ACTUATORS[0], second_actuator), SENSORS), published_settings()
-    moved = move_actuators(*places, settings, TRAVEL, beam_taper)
-    seen = move_sensors(*places, settings, SENSOR_TRAVEL, beam_taper)
+    moved, seen = (each(*places, settings, beam_taper) for each in (move_actuators, move_sensors))
     return moving_values(moved, seen, settings.increase)
 
 
-def paint_moving(
-    plant: ModalModel,
-    actuators: Sequence[float] | np.ndarray,
-    sensors: Sequence[float] | np.ndarray,
-    settings: Settings,
-    travel,
-    moved: Moved,
-):
+def paint_moving(plant: ModalModel, actuators: Places, sensors: Places, settings: Settings, moved: Moved):
     """Added damping as both actuators move, and the gain that follows them; the largest gain over that of the built place."""
-    fine, modes = np.linspace(*travel, 201), slice(2, 2 + settings.damped)
+    fine, modes = np.linspace(*TRAVEL, 201), slice(2, 2 + settings.damped)
     shapes = beam(np.concatenate([place + fine for place in actuators]), sensors).input_shapes[modes]
     shapes = shapes.reshape(settings.damped, 2, -1)  # modes, actuators, places
     wanted = 2 * settings.increase * plant.frequencies[modes, None]
@@ -194,10 +176,8 @@ def appendix(
     settings: Settings,
     study: Study,
     systems: Mapping[str, StateModel],
-    actuators: Sequence[float] | np.ndarray,
-    sensors: Sequence[float] | np.ndarray,
-    travel,
-    sensor_travel,
+    actuators: Places,
+    sensors: Places,
 ) -> None:
     """What the page of motion/17 judges beside its answer."""
     _of_noise_models(page, actuators, sensors, plant)
@@ -212,13 +192,11 @@ A Kalman observer with all modes couples exactly as perfect estimates do.""")
     page.check("motion.section-4-3.remark-4-3-1", round(float(apart.max()), 7))  # what is left is rounding
     rows = {name: added_damping(plant, system)[0] for name, system in systems.items()}
     page.show("added damping ratio", pd.DataFrame(rows, index=["161 Hz", "517 Hz", "760 Hz"]).round(4) + 0.0)
-    _of_moving(page, plant, actuators, sensors, settings, travel, sensor_travel)
+    _of_moving(page, plant, actuators[:2], sensors, settings)
     _of_geometries(page, study, settings.increase)
 
 
-def _of_noise_models(
-    page, actuators: Sequence[float] | np.ndarray, sensors: Sequence[float] | np.ndarray, plant: ModalModel
-) -> None:
+def _of_noise_models(page, actuators: Places, sensors: Places, plant: ModalModel) -> None:
     page.text("""## Noise models
 
 The rank test counts the constant forces that two sensors can distinguish: at most two, so more actuators than sensors cannot have
@@ -231,7 +209,7 @@ a noise model each. By number of actuators:""")
     page.check("motion.section-4-3.noise-models-on-u", min(on_u) - plant.rigid_modes)
 
 
-def _of_moving(page, plant, actuators, sensors, settings: Settings, travel, sensor_travel) -> None:
+def _of_moving(page, plant: ModalModel, actuators: Places, sensors: Places, settings: Settings) -> None:
     page.text(r"""## At other places
 
 When actuators or sensors move, the matrices follow the place $p$ (section 4.2): for sensors $\Upsilon(p)$ and $C_f(p)$, for
@@ -240,9 +218,8 @@ actuators $\Gamma(p)$ and, "to ensure the same level of damping for all position
 $$K_{dj}(p) = -\big(\phi_{aj}(p)^\top\big)^\dagger\,2\,\zeta_{des}\,\omega_j,\qquad |K_{dj}(p)| = \frac{2\,\zeta_{des}\,\omega_j}{|\phi_{aj}(p)|}$$
 
 The gain is infinite only where both actuators stand on nodes of one mode.""")
-    moved = move_actuators(actuators[:2], sensors, settings, travel)
-    seen = move_sensors(actuators[:2], sensors, settings, sensor_travel)
-    figure, over = paint_moving(plant, actuators[:2], sensors, settings, travel, moved)
+    moved, seen = (each(actuators, sensors, settings) for each in (move_actuators, move_sensors))
+    figure, over = paint_moving(plant, actuators, sensors, settings, moved)
     page.save("moving-actuators", figure)
     unstable = np.any(moved.kept + plant.damping[2 : 2 + settings.damped] < 0, axis=1)
     page.conclude(
