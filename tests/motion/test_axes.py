@@ -128,6 +128,11 @@ def test_a_geometry_is_taken_with_more_sensors_than_axes(tmp_path, untuned):
     said = design_file(str(tmp_path / "my.toml"), str(tmp_path / "machine"), RATE, uncertainty=BOX)
     radius, peaks = closed_loop(sampled(omega, ratio, out, into), tmp_path / "machine")
     assert "sensing as given; z:" in said[0] and radius < 1 and peaks.max() < 6.02
+    assert (
+        "largest |S_kk|" in said[1]
+        and said[2].startswith("C and reasons")
+        and said[3].startswith("not promised")
+    )
     assert _controllers(tmp_path / "machine")[1]["provenance"]["mass_unit"] == "kg m^2"
 
 
@@ -210,6 +215,9 @@ def test_a_retest_of_the_whole_holds_on_its_machine_and_not_on_one_that_has_chan
         radius, peaks = closed_loop(sampled(omega, ratio, out, into * factors), tmp_path / "machine")
         holds = bool(radius < 1 and peaks.max() < 6.01)
         assert ("the promise holds" in said[0]) is holds is (name == "same"), said
+        assert (
+            len(said) == 3 and said[1].count("|S_kk|") == 2 and said[2] == f"written: {tmp_path / name}.html"
+        )
     turned = {f"h{o + 1}{i + 1} (m/s^2/N)": seen[:, o, i] * factors[i] for i in (1, 0) for o in (1, 0)}
     for named, verdict in (
         (turned, "the promise holds"),  # in another order, which is taken by the names
@@ -218,8 +226,8 @@ def test_a_retest_of_the_whole_holds_on_its_machine_and_not_on_one_that_has_chan
     ):
         np.savez(file, **{"frequency (Hz)": HZ}, **named)
         if verdict:
-            said = retest_file(held, file, str(tmp_path / "reordered.html"))
-            assert verdict in said[0] and "outputs in order: 1, 2; inputs in order: 1, 2" in said[3]
+            said = retest_file(held, file, str(tmp_path / "reordered.html"), verbose=True)
+            assert verdict in said[0] and "outputs in order: 1, 2; inputs in order: 1, 2" in said[4]
             continue
         with pytest.raises(InputError, match=r"name them alike|in the units of the design"):
             retest_file(held, file, str(tmp_path / "none.html"))

@@ -209,6 +209,28 @@ def test_what_is_no_sensitivity_is_no_retest_in_the_loop(written, tmp_path):
 
 
 @pytest.mark.slow
+def test_a_retest_names_a_mode_whose_part_has_changed_and_refuses_another_machine(written, tmp_path):
+    """The sensor on the other mass: the same resonance, seen from its other side; and a machine ten times as heavy."""
+    controller = str(written[0] / "controller.json")
+    for name, factor, output in (("moved", 1.0, [[1.0, 0.0]]), ("heavy", 10.0, [[0.0, 1.0]])):
+        np.savez(
+            tmp_path / f"{name}.npz", M=factor * MASS, K=factor * STIFFNESS, input=[1.0, 0], output=output
+        )
+    said = retest_file(controller, str(tmp_path / "moved.npz"), str(tmp_path / "moved.html"))
+    hertz = PAIR.frequencies[1] / (2 * np.pi)
+    assert said[0].endswith(f"not in the box: part of the mode at {hertz:.4g} Hz") and len(said) == 3
+    parts = [
+        np.linalg.solve(MASS, np.eye(2))[k, 0] * MASS.sum() - 1 for k in (1, 0)
+    ]  # M^-1 is the sum over all modes
+    page = (tmp_path / "moved.html").read_text()
+    assert f"{parts[0]:.3g} {parts[1]:.3g}" in re.sub(r"\s*<[^>]+>\s*", " ", page).replace("  ", " ")
+    with pytest.raises(
+        InputError, match=r"heavy.npz is of another machine or in another unit.*give response_unit"
+    ):
+        retest_file(controller, str(tmp_path / "heavy.npz"), str(tmp_path / "heavy.html"))
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(("gain", "frequency"), [(1.04, 0.96), (1.3, 1.0), (1.0, 0.7)])
 def test_a_retest_in_the_loop_judges_machines_that_moved(written, tmp_path, gain, frequency):
     """Inside the box, 30 % stronger, and with the mode moved out of the box: peaks and gain are SciPy's."""

@@ -378,7 +378,8 @@ def _write(task: _Task, low: LowEnd | None, history: list[str], out: Path) -> li
         own.write_text(own.read_text(encoding="utf-8").replace("</h1>", f"</h1>{said}", 1), encoding="utf-8")
     for name, text in files.items():
         (task.folder / name).write_text(text, encoding="utf-8")
-    return [*answer, f"C and reasons: {out}: {', '.join(sorted([*files, *folders]))}"]
+    where = f"C and reasons: {out}: {', '.join(sorted([*files, *folders]))}"
+    return [*answer[:2], where, *answer[2:]]
 
 
 def _page(

@@ -88,7 +88,7 @@ def retest_file(
     if about.get("format") == FORMAT:
         if closed_loop:
             raise InputError("closed_loop is for one axis; measure the matrix response of the machine")
-        return _retest_axes(Path(controller), about, file, target, loop_hz, load_options)
+        return _retest_axes(Path(controller), about, file, target, loop_hz, load_options, verbose)
     designed = load_design(controller)
     if closed_loop:
         found = _measured_in_the_loop(designed, file, loop_hz, load_options)
@@ -113,7 +113,9 @@ def retest_file(
     return [*answer, f"written: {target}", *(findings if verbose else [])]
 
 
-def _retest_axes(controller: Path, about: Table, file: str, target: Path, loop_hz, load_options) -> list[str]:
+def _retest_axes(
+    controller: Path, about: Table, file: str, target: Path, loop_hz, load_options, verbose: bool
+) -> list[str]:
     """As `retest_file`, of all axes at once around a new matrix response."""
     matrix = load_matrix(file, load_options.get("response_unit", ""), load_options.get("force_unit", ""))
     if matrix is None:
@@ -132,18 +134,18 @@ def _retest_axes(controller: Path, about: Table, file: str, target: Path, loop_h
     if not enough:
         stability = "the lines are too far apart, or end too early, to count turns"
         verdict = f"not decided: {stability}; measure finer" if verdict == HOLDS else verdict
-    lines = [
+    answer = [
         f"{matrix.source} with {controller.name}: {verdict}",
         "; ".join(f"{name} |S_kk| {each['|S_kk|']}" for name, each in peaks.items()),
-        *(stability, closed.matrix.order, *matrix.notes),
     ]
-    body = "".join(f"<p>{html.escape(line)}</p>\n" for line in lines)
+    findings = [stability, closed.matrix.order, *matrix.notes]
+    body = "".join(f"<p>{html.escape(line)}</p>\n" for line in [*answer, *findings])
     body += picture(paint_decoupling(closed), "responses before and behind the decoupling")
     body += picture(paint_axes(closed), "sensitivities of all axes")
     held = html.escape(inspect_file(file))
     text = page("report.html", source=html.escape(matrix.source), body=body, held=held)
     target.write_text(text, encoding="utf-8")
-    return [*lines, f"written: {target}"]
+    return [*answer, f"written: {target}", *(findings if verbose else [])]
 
 
 class _Found(NamedTuple):
@@ -170,6 +172,11 @@ def _measured_machine(designed: DesignedLoop, file: str, fit_hz, loop_hz, load_o
         raise InputError(
             f"{Path(file).name} is of a machine in {machine.mass_unit}, the controller of one in {made['mass_unit']}; "
             "give the response in the units of the design"
+        )
+    if not 1 / STRANGE < machine.mass / made["mass"] < STRANGE:
+        raise InputError(
+            f"{Path(file).name} is of another machine or in another unit: it moves as {machine.mass:.4g} {machine.mass_unit}, that of "
+            f"the design as {made['mass']:.4g} (read were {believed(taken, machine).partition('; ')[2]}); give response_unit and force_unit"
         )
     late = max(machine.fit.delay, 0.0) if machine.fit else 0.0
     modelled = make_loop(
@@ -277,7 +284,11 @@ def _gain_change(before: Loop, seen: Loop, pid: Pid, made: Table, name: str) -> 
 def _changes(designed: ModalModel, machine: Machine, made: Table, late: float) -> list[list[str]]:
     """Rows of numbers then and now: each resonance and the nearest that was found, the rigid body, the delay."""
     now, box = machine.sensors[0], made.table("uncertainty")
-    rows = []
+    masses = made["mass"], machine.mass
+    rows, parts = [], [model.input_shapes[:, 0] * model.output_shapes[0] for model in (designed, now)]
+    spread = np.zeros(len(now.frequencies))
+    if machine.fit and machine.fit.residue_deviation.size:
+        spread = NORMAL * machine.fit.residue_deviation[1 - now.rigid_modes :]
     for k in range(1, len(designed.frequencies)):
         then = designed.frequencies[k]
         if len(now.frequencies) < 2:
@@ -289,11 +300,17 @@ def _changes(designed: ModalModel, machine: Machine, made: Table, late: float) -
         held = INSIDE if abs(change) <= share else "outside the box"
         hertz = then / (2 * np.pi), now.frequencies[j] / (2 * np.pi)
         rows.append(["resonance", *(f"{each:.5g} Hz" for each in hertz), f"{100 * change:+.2g} %", held])
-    mass = made["mass"], machine.mass
-    change = mass[1] / mass[0] - 1
+        change = parts[1][j] / parts[0][k] - 1
+        share = np.broadcast_to(box["residue"], designed.frequencies.shape)[k] + box["gain"] + spread[j - 1]
+        shown = [
+            f"{part[number] * mass:.3g}" for part, number, mass in zip(parts, (k, j), masses, strict=True)
+        ]
+        held = INSIDE if abs(change) <= share + 1e-6 else "outside the box"
+        rows.append([f"part of the mode at {hertz[0]:.4g} Hz", *shown, f"{100 * change:+.2g} %", held])
+    change = masses[1] / masses[0] - 1
     held = INSIDE if abs(change) <= box["mass"] + box["gain"] else "outside the box"
     rows.append(
-        ["mass", *(f"{each:.4g} {machine.mass_unit}" for each in mass), f"{100 * change:+.2g} %", held]
+        ["mass", *(f"{each:.4g} {machine.mass_unit}" for each in masses), f"{100 * change:+.2g} %", held]
     )
     if designed.drag or now.drag:
         frictions = designed.drag, now.drag
