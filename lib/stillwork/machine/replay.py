@@ -280,12 +280,15 @@ def _run_kernel(design, weights, limit, spans, floors, seen, plant, forces, flag
 
 
 @inlined_kernel
-def _section(coefficients, memory, value):
-    """One section, transposed direct form II."""
-    result = coefficients[0] * value + memory[0]
-    memory[0] = coefficients[1] * value - coefficients[4] * result + memory[1]
-    memory[1] = coefficients[2] * value - coefficients[5] * result
-    return result
+def _filtered(sections, memory, value):
+    """A sample through a cascade in transposed direct form II."""
+    given = value
+    for m in range(len(sections)):
+        result = sections[m, 0] * given + memory[m, 0]
+        memory[m, 0] = sections[m, 1] * given - sections[m, 4] * result + memory[m, 1]
+        memory[m, 1] = sections[m, 2] * given - sections[m, 5] * result
+        given = result
+    return given
 
 
 @kernel
@@ -326,13 +329,10 @@ def _step_through(
                 error[i] -= np.sum(folded[i] * forces[k - stepped])
             if k > stepped:
                 error[i] += np.sum(folded[i] * forces[k - stepped - 1])
-            damped[i] = error[i]
-            for m in range(len(skyhook)):
-                damped[i] = _section(skyhook[m], skies[i, m], damped[i])
+            damped[i] = _filtered(skyhook, skies[i], error[i])
         set_product(before, error, turned)
         for i in range(axes):
-            for m in range(modes.shape[1]):
-                turned[i] = _section(modes[i, m], errors[i, m], turned[i])
+            turned[i] = _filtered(modes[i], errors[i], turned[i])
         set_product(after, turned, error)
         share = 1 - rest / fade if rest < fade else 0.0
         share = share * share * (3 - 2 * share)
@@ -344,9 +344,7 @@ def _step_through(
             if not abs(forces[k, i]) <= limit:
                 forces[k, i] = np.copysign(limit, forces[k, i])
                 flags[k] = SATURATED
-            sent[k, i] = forces[k, i]
-            for m in range(len(shaping)):
-                sent[k, i] = _section(shaping[m], sents[i, m], sent[k, i])
+            sent[k, i] = _filtered(shaping, sents[i], forces[k, i])
         # The modified error, of as many samples ago: nothing is updated before these.
         regressor = filtered[k - path_delay]
         for i in range(axes):
