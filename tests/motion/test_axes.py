@@ -13,6 +13,7 @@ from stillwork.base.checks import InputError
 from stillwork.identification.machine_files import load_machine
 from stillwork.machine import retest
 from stillwork.machine.axes import _first_fitted, read_axes
+from stillwork.machine.axes_modes import fit_matrix
 from stillwork.machine.decoupled import Axes
 from stillwork.machine.design import design_file
 from stillwork.machine.retest import retest_file
@@ -112,6 +113,45 @@ def test_axes_that_act_on_each_other_are_slowed_until_the_true_machine_holds(tmp
         assert ("slowed from" in page) is any(line.startswith(f"axis {k} slowed") for line in said)
     radius, peaks = closed_loop(sampled(omega, ratio, out, into), tmp_path / "machine")
     assert radius < 1 and peaks.max() < 6.05
+
+
+@pytest.mark.parametrize("n", [2, 3, 6])
+def test_a_mode_that_moves_does_so_in_all_entries_as_in_the_true_machine(n):
+    """Its parts and what it adds, by the response of the machine whose modes have moved; behind any decoupling."""
+    omega, ratio, out, into = machine(n, n, modes=3)
+    rng = np.random.default_rng(n)
+    sensing, actuation = (np.eye(n) + 0.1 * rng.uniform(-1, 1, (n, n)) for _ in range(2))
+    late = 3e-4
+    seen = sensing @ accelerance(omega, ratio, out, into, delay=late) @ actuation
+    modes = fit_matrix(2 * np.pi * HZ, seen, [], late)
+    assert np.sort(modes.frequencies) == pytest.approx(omega[n:], rel=1e-3)
+    factors = np.array([1.05, 0.97, 1.02])
+    order = np.argsort(modes.frequencies)
+    moved = accelerance(np.append(omega[:n], factors * omega[n:]), ratio, out, into, delay=late)
+    given = np.empty(3)
+    given[order] = factors
+    added = sensing @ moved @ actuation - seen
+    assert np.abs(modes.moved(2 * np.pi * HZ, given) - added).max() < 0.02 * np.abs(added).max()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("n", "seed"), [(2, 4), (3, 6)])
+def test_each_mode_of_the_true_machine_may_move_by_itself(tmp_path, untuned, n, seed):
+    """Also modes that only couple the axes: by the poles and sensitivities of the true machine with each of them moved."""
+    omega, ratio, out, into = machine(n, seed)
+    into = into @ np.linalg.inv(out[:, :n] @ into[:n])
+    rng = np.random.default_rng(seed)
+    omega = np.append(omega, 2 * np.pi * rng.uniform(100.0, 200.0, n))
+    out, into = np.hstack([out, 30.0 * np.eye(n)]), np.vstack([into, np.roll(np.eye(n), 1, axis=0)])
+    said = design(tmp_path, accelerance(omega, ratio, out, into), uncertainty="frequency=0.05,gain=0.05,none")
+    assert any("each mode moves by itself in all entries" in line for line in said)
+    for k in range(n, len(omega)):
+        for factor in (0.95, 0.97, 1.03, 1.05):
+            moved = omega * np.where(np.arange(len(omega)) == k, factor, 1.0)
+            radius, peaks = closed_loop(
+                sampled(moved, ratio, out, into * rng.choice([0.95, 1.05], n)), tmp_path / "machine"
+            )
+            assert radius < 1 and peaks.max() < 6.1
 
 
 @pytest.mark.slow

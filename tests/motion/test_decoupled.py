@@ -45,6 +45,7 @@ def accelerance(omega, ratio, out, into, hertz=HZ, delay=0.0):
         ("h ((rad/s^2)/(N m))[3,1]", ("3", "1")), ("frequency (Hz)", None), ("real 1", None), ("h (m/s^2/N)", None),
         ("real u2->y1 (m/N)", ("y1", "u2")), ("real u2 to y1", ("y1", "u2")), ("imaginary from input 2 to output 1", ("output1", "input2")),
         ("magnitude F2 X1", ("X1", "F2")), ("real y1 u2", ("y1", "u2")), ("real 2 \u2192 1", ("1", "2")), ("real a2/a1", ("a2", "a1")),
+        ("real z/F1 (m/s^2/N)", ("z", "F1")), ("magnitude tilt/u (rad/N)", ("tilt", "u")), ("real g/N", None), ("h m/s", None),
     ],
 )  # fmt: skip
 def test_a_name_states_output_and_input(name, place):

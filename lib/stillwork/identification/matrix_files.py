@@ -88,7 +88,7 @@ def places(names: Collection[str]) -> dict[str, tuple[str, str]]:
             text, more = re.subn(r"\([^()]*\)", " ", text)  # units
         text = re.sub(ARROW, " -> ", text, flags=re.IGNORECASE)
         arrow = "->" in text
-        ends = None if arrow else re.search(r"(\S*\d\S*?)\s*/\s*(\S*\d\S*)", text)
+        ends = None if arrow else re.search(r"(\S*\d\S*?)\s*/\s*(\S*\d\S*)", text) or _over_input(text)
         numbered = re.findall(r"([^\W\d_]*)[\s_.\[{#-]*(\d+)", text)
         kinds = [_kind(word) for word, _ in numbered]
         words = [number for _, number in numbered]
@@ -107,6 +107,12 @@ def places(names: Collection[str]) -> dict[str, tuple[str, str]]:
             )
         found[name] = (words[1], words[0]) if turned or arrow else (words[0], words[1])
     return found
+
+
+def _over_input(text: str) -> re.Match | None:
+    """A name without a number over an input, as ``z/F1``."""
+    found = re.search(r"([^\W\d_]+)\s*/\s*([^\W\d_]+\d*)\s*$", text)
+    return found if found and _kind(re.sub(r"\d", "", found[2])) == "input" else None
 
 
 def _kind(word: str) -> str:

@@ -18,7 +18,8 @@ from stillwork.control.machine_loops import in_hertz
 from stillwork.identification.machine import TURNED, build_machine
 from stillwork.identification.machine_files import load_machine
 from stillwork.identification.matrix_files import LEAST_LINES, MatrixFile, load_matrix, natural
-from stillwork.machine.axes_loops import FORMAT, AxesLoops, paint_axes, paint_decoupling, sizes
+from stillwork.machine.axes_loops import FORMAT, AxesLoops, Place, paint_axes, paint_decoupling, sizes
+from stillwork.machine.axes_modes import MatrixModes
 from stillwork.machine.c_code import axes_code
 from stillwork.machine.decoupled import (
     Axes,
@@ -218,6 +219,7 @@ class _Task:
         self.wanted, self.axes, self.folder, self.request = wanted, axes, folder, request
         self.make, self.highest = make, [request.highest_hz] * len(wanted.names)
         self.loops: list[DesignedLoop] = []
+        self.modes: MatrixModes | None = None
         parts = np.abs(self.closed.parts()).sum(axis=1) / np.abs(self.closed.parts().sum(axis=1))
         # Where actuators pull against each other an axis's gain moves by more than theirs do.
         self.gain = request.shares.get("gain", 0.0) * parts
@@ -231,7 +233,7 @@ class _Task:
         band = max(float(low), hertz[0]), min(float(high), hertz[-1], HIGHEST * request.rate)
         return AxesLoops(
             *(self.wanted.matrix, self.axes, self.wanted.names, self.loops, request.rate, request.delay),
-            *(band, request.shares),
+            *(band, request.shares, self.modes),
         )
 
     def design(self, k: int) -> list[str]:
@@ -257,7 +259,8 @@ class _Task:
     def slow_down(self, lines: list[list[str]]) -> list[str]:
         """Lower bandwidths until all that is checked holds: of one axis, or of all, whatever costs least."""
         history: list[str] = []
-        hard = [(0.0, np.ones(len(self.wanted.matrix.inputs)))]
+        hard = [Place(0.0, np.ones(len(self.wanted.matrix.inputs)))]
+        self.modes = self.closed.with_modes().modes
         for _ in range(ROUNDS):
             judged = self.closed.judged()
             if judged.holds:
@@ -283,7 +286,7 @@ class _Task:
                 )
         raise InputError(f"{self.wanted.matrix.source}: {_why_not(self, judged)}")
 
-    def _least_slower(self, places: Sequence[tuple[float, np.ndarray]]) -> np.ndarray | None:
+    def _least_slower(self, places: Sequence[Place]) -> np.ndarray | None:
         """Shares of the bandwidths at which these places would hold, by the PID's rules."""
         count, best = len(self.loops), None
         for which in [*np.eye(count, dtype=bool), np.ones(count, dtype=bool)]:
@@ -331,8 +334,7 @@ def _write(task: _Task, low: LowEnd | None, history: list[str], out: Path) -> li
         f"{matrix.source}: {'1 axis' if count == 1 else f'{count} axes'}, {axes.words}; {', '.join(shown)}",
         f"checked on the measured matrix from {low_hz:.4g} to {high_hz:.4g} Hz: {task.closed.stability(judged)}; largest |S_kk|, "
         f"all axes closed, {sizes(judged.peaks_db)} dB, and {sizes(judged.box_db)} dB at {places} places of the box",
-        "not promised: what lies between the lines or beyond them, and modes that each move by themselves, for which an axis's own "
-        "page holds its diagonal alone",
+        f"{_of_modes(task)}; not promised: what lies between the lines or beyond them",
         matrix.order,
         *matrix.notes,
         *history,
@@ -430,6 +432,18 @@ def _page(
         "report.html", source=html.escape(matrix.source), kind=": controllers of its axes", body=body,
         held=html.escape(inspect_file(str(wanted.file))),
     )  # fmt: skip
+
+
+def _of_modes(task: _Task) -> str:
+    """What the places of the box hold for single modes."""
+    modes = task.modes
+    if modes is None or not task.request.shares.get("frequency"):
+        return "no mode was moved by itself"
+    hertz = ", ".join(f"{each:.4g}" for each in np.sort(modes.frequencies) / (2 * np.pi))
+    return (
+        f"among the places each mode moves by itself in all entries together ({hertz} Hz; they and a rigid body explain the matrix "
+        f"to {100 * modes.misfit:.2g} %), those at one frequency as one"
+    )
 
 
 def _proof(judged: Judged) -> str:

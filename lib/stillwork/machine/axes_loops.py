@@ -14,12 +14,25 @@ from stillwork.control.bandwidth import SIX_DB
 from stillwork.control.pid import Pid
 from stillwork.identification.matrix_files import MatrixFile
 from stillwork.machine import pictures
+from stillwork.machine.axes_modes import MatrixModes, fit_matrix
 from stillwork.machine.decoupled import Axes, Judged, interaction, judge, own_sensitivities
 from stillwork.machine.designed_loop import DesignedLoop, load_design
 
 FORMAT = "stillwork axes 1"
 LOWEST = 10  # lines
+PARTS, MANY = (
+    (-1.0, -0.5, 0.5, 1.0),
+    48,
+)  # of its share, to which each mode is moved; places of all modes at once
 MOST_SIGNS = 64  # of gains of the actuators, that are tried
+
+
+class Place(NamedTuple):
+    """A place of the box: how far all modes move together, the gain of each actuator, and factors on single modes' frequencies."""
+
+    move: float
+    gain: np.ndarray
+    modes: np.ndarray | None = None
 
 
 class AxesLoops(NamedTuple):
@@ -33,6 +46,7 @@ class AxesLoops(NamedTuple):
     delay: float  # samples
     band_hz: tuple[float, float]  # where the matrix is the plant
     shares: Mapping[str, float]  # of the box
+    modes: MatrixModes | None = None
 
     @classmethod
     def read(cls, file: Path, about: Table, matrix: MatrixFile, loop_hz: tuple[float, float]) -> "AxesLoops":
@@ -57,8 +71,8 @@ class AxesLoops(NamedTuple):
         axes = Axes(sensing, actuation, about["decoupling"])
         return cls(matrix, axes, names, loops, about["rate_hz"], about["delay_samples"], band, {})
 
-    def places(self) -> list[tuple[float, np.ndarray]]:
-        """Of the box: how far all modes move together, and the gain of each actuator; the middle first."""
+    def places(self) -> list[Place]:
+        """Of the box, the middle first: all modes moved together, then each by itself, and some of many at once."""
         inputs, shares = len(self.matrix.inputs), self.shares
         moves = dict.fromkeys((0.0, shares.get("frequency", 0.0), -shares.get("frequency", 0.0)))
         gain = shares.get("gain", 0.0) + shares.get("mass", 0.0)
@@ -69,26 +83,63 @@ class AxesLoops(NamedTuple):
             )
             signs = signs[[0, *some, -1]]
         found = [
-            (move, 1 + gain * sign) for move in moves for sign in (signs if gain else [np.zeros(inputs)])
+            Place(move, 1 + gain * sign) for move in moves for sign in (signs if gain else [np.zeros(inputs)])
         ]
-        return [(0.0, np.ones(inputs)), *found]
+        return [Place(0.0, np.ones(inputs)), *found, *self._of_single_modes(gain)]
+
+    def _of_single_modes(self, gain: float) -> list[Place]:
+        """Each mode moved by itself in all entries, all gains high or low; then all modes and gains at random ends."""
+        share, inputs = self.shares.get("frequency", 0.0), len(self.matrix.inputs)
+        if self.modes is None or not share:
+            return []
+        count, rng = len(self.modes.frequencies), np.random.default_rng(1)
+        signs = [part * row for row in np.eye(count) for part in PARTS]
+        gains = [np.full(inputs, 1 + gain), np.full(inputs, 1 - gain)]
+        single = [Place(0.0, each, 1 + share * sign) for sign in signs for each in gains]
+        ends = rng.choice([-1.0, 1.0], (MANY, count + inputs))
+        return single + [Place(0.0, 1 + gain * row[count:], 1 + share * row[:count]) for row in ends]
 
     def gains(self, places, slower: np.ndarray | None = None) -> list[np.ndarray]:
         """Loop gains at places of the box; with `slower`, of PID controllers at these shares of their bandwidths."""
-        return [self.plant(*place) * self._controllers(place[0], slower)[:, None, :] for place in places]
+        return [
+            (self.plant(place.move, place.gain) + self._moved(place))
+            * self._controllers(place.move, slower)[:, None, :]
+            for place in places
+        ]
+
+    def _moved(self, place: Place) -> np.ndarray | float:
+        """What single modes that have moved add to the plant; the gains of the actuators as the axes share them."""
+        if place.modes is None or self.modes is None:
+            return 0.0
+        omega = self.lines()
+        parts = self.parts()
+        own = (parts / parts.sum(axis=1, keepdims=True)).real @ place.gain
+        late = self._late(omega, self.delay) / omega**2
+        return -self.modes.moved(omega, place.modes) * late[:, None, None] * own
 
     def alone(self, places, slower: np.ndarray | None = None) -> list[np.ndarray]:
         """1 + L of the model of each axis at the measured lines and at places of the box, each (lines, axes)."""
         found, parts = [], self.parts()
         own = (parts / parts.sum(axis=1, keepdims=True)).real
-        for move, gain in places:
+        for move, gain, modes in places:
             omega, held = self.lines(move), []
             for each in self.loops:
-                model = each.loop.plant.frequency_response(omega / (1 + move))[0, 0] / (1 + move) ** 2
+                plant = each.loop.plant
+                if modes is not None and self.modes is not None:
+                    plant = self.modes.own(plant, modes)
+                model = plant.frequency_response(omega / (1 + move))[0, 0] / (1 + move) ** 2
                 late = self._late(omega, each.made["delay_samples_of_the_loop"])
                 held.append(model * late + _aliases(each, omega))
             found.append(1 + np.stack(held, axis=1) * self._controllers(move, slower) * (own @ gain))
         return found
+
+    def with_modes(self) -> "AxesLoops":
+        """The same with the modes of the matrix, which its entries have in common."""
+        omega = self.lines()
+        late = np.mean([each.made["delay_samples_of_the_loop"] for each in self.loops]) - self.delay
+        models = [each.loop.plant for each in self.loops]
+        inner = self.axes.of(self._seen(len(omega)))
+        return self._replace(modes=fit_matrix(omega, inner, models, float(late / self.rate)))
 
     def parts(self) -> np.ndarray:
         """Of what each axis does to itself at the lowest lines, the part of each actuator: (axes, inputs)."""

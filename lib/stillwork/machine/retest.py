@@ -18,12 +18,12 @@ from stillwork.control.machine_loops import HELD, SHOWN, encirclement_difference
 from stillwork.control.pid import Pid
 from stillwork.control.uncertainty import NORMAL
 from stillwork.identification.frequency_response import Identified
-from stillwork.identification.machine import Machine, build_machine, remove_delay, whole_band
-from stillwork.identification.machine_files import load_machine, load_ratio
+from stillwork.identification.machine import TURNED, Machine, build_machine, remove_delay, whole_band
+from stillwork.identification.machine_files import MachineFile, load_machine, load_ratio
 from stillwork.identification.matrix_files import load_matrix
 from stillwork.lti.modal import ModalModel
 from stillwork.machine import pictures
-from stillwork.machine.axes_loops import FORMAT, AxesLoops, paint_axes, paint_decoupling
+from stillwork.machine.axes_loops import FORMAT, AxesLoops, Place, paint_axes, paint_decoupling
 from stillwork.machine.decoupled import own_sensitivities, turns
 from stillwork.machine.designed_loop import DesignedLoop, load_design
 from stillwork.machine.hardware import ALLOWED_DB, own_functions
@@ -121,7 +121,7 @@ def _retest_axes(
     if matrix is None:
         raise InputError(f"{Path(file).name} holds no matrix response; give all entries of the design's")
     closed = AxesLoops.read(controller, about, matrix, loop_hz)
-    omega, middle = closed.lines(), [(0.0, np.ones(len(matrix.inputs)))]
+    omega, middle = closed.lines(), [Place(0.0, np.ones(len(matrix.inputs)))]
     (alone,), (gain,) = closed.alone(middle), closed.gains(middle)
     whole = np.eye(len(closed.loops)) + gain
     count, enough = turns(whole, alone)
@@ -129,23 +129,48 @@ def _retest_axes(
     peaks = {
         name: {"|S_kk|": _peak(omega, own[:, k], 1 / alone[:, k])} for k, name in enumerate(closed.names)
     }
+    changes = _changed_axes(closed, about)
     verdict = _verdict(_Found({}, True, count if enough else None, []), peaks)
     stability = f"extra turns of det(I + L) around zero: {count}"
     if not enough:
         stability = "the lines are too far apart, or end too early, to count turns"
         verdict = f"not decided: {stability}; measure finer" if verdict == HOLDS else verdict
+    outside = ", ".join(row[0] for row in changes if row[-1] != INSIDE)
     answer = [
-        f"{matrix.source} with {controller.name}: {verdict}",
+        f"{matrix.source} with {controller.name}: {verdict}{outside and f'; not in the box: {outside}'}",
         "; ".join(f"{name} |S_kk| {each['|S_kk|']}" for name, each in peaks.items()),
     ]
     findings = [stability, closed.matrix.order, *matrix.notes]
     body = "".join(f"<p>{html.escape(line)}</p>\n" for line in [*answer, *findings])
+    body += f"<h2>What has changed</h2>\n{table(['', 'at the design', 'now', 'change', ''], changes)}"
     body += picture(paint_decoupling(closed), "responses before and behind the decoupling")
     body += picture(paint_axes(closed), "sensitivities of all axes")
     held = html.escape(inspect_file(file))
     text = page("report.html", source=html.escape(matrix.source), body=body, held=held)
     target.write_text(text, encoding="utf-8")
     return [*answer, f"written: {target}", *(findings if verbose else [])]
+
+
+def _changed_axes(closed: AxesLoops, about: Table) -> list[list[str]]:
+    """Rows of `_changes` of each axis, of the model that is fitted to its own entry of the new matrix."""
+    omega, rows = 2 * np.pi * closed.matrix.hertz, []
+    inner = closed.axes.of(closed.matrix.accelerance)
+    for k, (named, designed) in enumerate(zip(about["axes"], closed.loops, strict=True)):
+        seen = Identified(omega, inner[:, k, k], np.full(len(omega), np.nan))
+        file = MachineFile("frequency response", closed.matrix.source, seen, units=tuple(named["units"]))
+        try:
+            machine = build_machine(
+                file, modes_hz=[], fit_hz=closed.band_hz, mirrored_sensor=False, rigid=True
+            )
+        except InputError as error:
+            rows.append([f"{named['name']}: model", "", "", "", f"none: {error}"])
+            continue
+        late = max(machine.fit.delay, 0.0) if machine.fit else 0.0
+        found = _changes(designed.loop.plant, machine, designed.made, late)
+        if TURNED in machine.notes:
+            found.append(["sign", "along its force", "against it", "", "outside the box"])
+        rows += [[f"{named['name']}: {row[0]}", *row[1:]] for row in found]
+    return rows
 
 
 class _Found(NamedTuple):
