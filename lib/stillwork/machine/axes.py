@@ -39,7 +39,7 @@ LEAST = 0.05  # of a bandwidth, the least share that is tried
 ROUNDS = 8  # of designs, after which the axes are refused
 HALVINGS = 7
 # A peak that is so little too large, as a factor: the axis is designed for more gain, by so many times as much and more.
-LITTLE, MORE, LEAST_MORE = 1.06, 1.5, 0.005
+LITTLE, MORE, LEAST_MORE, AGAIN = 1.06, 1.5, 0.005, 2.0  # AGAIN: times, each time that it was not enough
 HIGHEST = 0.499  # of the rate
 
 
@@ -259,6 +259,7 @@ class _Task:
     def slow_down(self, lines: list[list[str]]) -> list[str]:
         """Lower bandwidths until all that is checked holds: of one axis, or of all, whatever costs least."""
         history: list[str] = []
+        again = np.zeros(len(self.loops))
         hard = [Place(0.0, np.ones(len(self.wanted.matrix.inputs)))]
         self.modes = self.closed.with_modes().modes
         for _ in range(ROUNDS):
@@ -267,7 +268,8 @@ class _Task:
                 return history
             if judged.stable and judged.excess.max() < LITTLE:
                 for k in np.flatnonzero(judged.excess > 1):
-                    self.gain[k] += MORE * (judged.excess[k] - 1) + LEAST_MORE
+                    self.gain[k] += (MORE * (judged.excess[k] - 1) + LEAST_MORE) * AGAIN ** again[k]
+                    again[k] += 1
                     lines[k] = self.design(int(k))
                     history.append(
                         f"{self.wanted.names[k]} designed for a gain of ± {100 * self.gain[k]:.2g} %, for what the others make of it"
