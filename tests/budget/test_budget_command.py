@@ -16,6 +16,7 @@ from stillwork.control.pid import PidFamily
 from stillwork.lti.discretisation import tustin
 from stillwork.machine import budget
 from stillwork.machine.budget_tables import machine_of, measured_at, open_machine, sources_of
+from stillwork.machine.inspect import inspect_file
 from stillwork.machine.isolate import isolate_file, read_isolator
 from stillwork.machine.machine_toml import MACHINES, new_machine
 from workbook import paths
@@ -434,6 +435,27 @@ def test_a_file_without_the_table_that_a_command_needs_is_refused_with_its_cure(
     assert main([command, str(tmp_path / "m.toml"), *more[command]]) == 2
     said = capsys.readouterr().err
     assert f"m.toml: no table [{table}], which {command} reads" in said and "stillwork new FILE.toml" in said
+
+
+def test_inspect_lists_each_command_that_a_machines_file_has_the_tables_of(tmp_path):
+    seen = np.ones((2, 2, 40), dtype=complex)
+    np.savez(
+        tmp_path / "h.npz",
+        **{
+            "frequency (Hz)": np.arange(1.0, 41.0),
+            **{f"h{o}{i} (m/s^2/N)": seen[o - 1, i - 1] for o in (1, 2) for i in (1, 2)},
+        },
+    )
+    new_machine(str(tmp_path / "m.toml"), "small-isolator")
+    text = (tmp_path / "m.toml").read_text()
+    (tmp_path / "m.toml").write_text(text + '[decoupling]\nresponse = "h.npz"\n')
+    said = inspect_file(str(tmp_path / "m.toml"))
+    assert all(f"stillwork {each} {tmp_path / 'm.toml'}" in said for each in ("budget", "isolate", "design"))
+    assert "modes at 20.13 Hz" in said and "of 2 outputs and 2 inputs" in said
+    (tmp_path / "m.toml").write_text(text.replace("suspension_hz", "suspension_hertz"))
+    assert "not usable for an error budget: m.toml: machine: unknown name 'suspension_hertz'" in inspect_file(
+        str(tmp_path / "m.toml")
+    )
 
 
 def test_a_name_of_a_table_that_stands_above_all_tables_is_sent_into_it(tmp_path):

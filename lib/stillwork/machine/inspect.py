@@ -14,7 +14,7 @@ import numpy as np
 
 from stillwork.base.checks import InputError, one_line, pluralise, short_repr
 from stillwork.base.command_line import others
-from stillwork.base.toml_files import read_toml
+from stillwork.base.toml_files import Table, read_toml
 from stillwork.signals.datafiles import read_arrays, read_columns
 from stillwork.signals.densities import DENSITY_UNITS_TEXT, frequency_axis, hertz_in, spectra_of
 from stillwork.signals.records import is_time, load_unscaled, stated_unit, unknown_unit
@@ -67,23 +67,56 @@ def _data(path: Path) -> Iterator[str]:
 
 
 def _toml(path: Path) -> Iterator[str]:
+    """What a machine's TOML holds for each command that reads it, or what else the file is."""
     table = read_toml(path)
-    if not {"isolator", "response"} & table.keys():
+    uses = {"sources": _budgeted, "isolator": _isolated, "decoupling": _decoupled}
+    found = [use for name, use in uses.items() if name in table]
+    if not found:
         yield from _model(path, table)
-        return
-    if "isolator" not in table:
-        yield f"{path.name}: the measured response {one_line(str(table['response']))} of an isolator"
-    else:
-        from stillwork.machine.isolate import read_isolator
-
+    for use in found:
         try:
-            isolator, *_ = read_isolator(str(path), 1000.0)  # of the rate nothing here depends on
+            yield from use(path, table)
         except InputError as error:
-            yield f"{path.name}: not usable as an isolator: {error}"
-            return
+            yield f"{path.name}: not usable {use.__doc__}: {error}"
+
+
+def _budgeted(path: Path, table: Table) -> Iterator[str]:
+    """for an error budget"""
+    from stillwork.machine.budget_tables import open_machine
+
+    built = open_machine(str(path)).machine
+    yield (
+        f"{path.name}: a stage of {built.stage_mass:.4g} kg over a frame of {built.frame_mass:.4g} kg, "
+        f"suspension at {built.suspension_hz:.4g} Hz"
+    )
+    yield command("its error budget", ["budget", str(path.resolve())])
+
+
+def _isolated(path: Path, table: Table) -> Iterator[str]:
+    """as an isolator"""
+    from stillwork.machine.isolate import read_isolator
+
+    own = table.table("isolator")
+    if "response" in own and "mass" not in own:
+        yield f"{path.name}: the measured response {one_line(str(own['response']))} of an isolator"
+    else:
+        isolator, *_ = read_isolator(str(path), 1000.0)  # of the rate nothing here depends on
         modes = ", ".join(f"{hertz:.4g}" for hertz in isolator.frequencies_hz)
         yield f"{path.name}: an isolator of {pluralise(isolator.axes, 'actuator')}, modes at {modes} Hz"
     yield _isolate(str(path.resolve()), "FLOOR")
+
+
+def _decoupled(path: Path, table: Table) -> Iterator[str]:
+    """as a machine of several axes"""
+    from stillwork.identification.matrix_files import load_matrix
+
+    file = path.parent / str(table.table("decoupling")["response"])
+    if (matrix := load_matrix(file)) is None:
+        raise InputError(f"{file.name} holds no matrix response; name its entries h11, h12, ...")
+    outputs, inputs = len(matrix.outputs), len(matrix.inputs)
+    yield f"{path.name}: the matrix response {matrix.source} of {outputs} outputs and {inputs} inputs"
+    words = ["design", str(path.resolve()), "--rate", "HZ", "--out", "my_controllers"]
+    yield command("controllers in C of its decoupled axes", words)
 
 
 def _model(path: Path, table: dict) -> Iterator[str]:
