@@ -220,6 +220,7 @@ class _Task:
         self.make, self.highest = make, [request.highest_hz] * len(wanted.names)
         self.loops: list[DesignedLoop] = []
         self.modes: MatrixModes | None = None
+        self.unseen: dict[int, str] = {}  # up to where one mode beyond the band could break an axis's promise
         parts = np.abs(self.closed.parts()).sum(axis=1) / np.abs(self.closed.parts().sum(axis=1))
         # Where actuators pull against each other an axis's gain moves by more than theirs do.
         self.gain = request.shares.get("gain", 0.0) * parts
@@ -253,6 +254,7 @@ class _Task:
             highest_hz=self.highest[k],
             uncertainty=request.shares | ({"gain": float(self.gain[k])} if self.gain[k] else {}),
         )
+        self.unseen[k] = lines[1].partition("could break it up to ")[2].partition(":")[0]
         self.loops[k : k + 1] = [load_design(str(folder / f"{name}.json"))]
         return lines
 
@@ -336,7 +338,7 @@ def _write(task: _Task, low: LowEnd | None, history: list[str], out: Path) -> li
         f"{matrix.source}: {'1 axis' if count == 1 else f'{count} axes'}, {axes.words}; {', '.join(shown)}",
         f"checked on the measured matrix from {low_hz:.4g} to {high_hz:.4g} Hz: {task.closed.stability(judged)}; largest |S_kk|, "
         f"all axes closed, {sizes(judged.peaks_db)} dB, and {sizes(judged.box_db)} dB at {places} places of the box",
-        f"{_of_modes(task)}; not promised: what lies between the lines or beyond them",
+        f"{_of_modes(task)}; not promised: what lies between the lines or beyond them{_unseen(task)}",
         matrix.order,
         *matrix.notes,
         *history,
@@ -434,6 +436,12 @@ def _page(
         "report.html", source=html.escape(matrix.source), kind=": controllers of its axes", body=body,
         held=html.escape(inspect_file(str(wanted.file))),
     )  # fmt: skip
+
+
+def _unseen(task: _Task) -> str:
+    """Up to where one mode beyond the band could break the promise of each axis."""
+    found = [f"{task.wanted.names[k]} up to {hertz}" for k, hertz in sorted(task.unseen.items()) if hertz]
+    return f"; one mode more there could break the promise of {', of '.join(found)}" if found else ""
 
 
 def _of_modes(task: _Task) -> str:
