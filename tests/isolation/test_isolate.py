@@ -190,10 +190,12 @@ def written(
     smoothing=0.0,
     guard=0.0,
     growth=1.0,
+    clearing=True,
     **more,
 ):
     true = draw_isolator(np.random.default_rng(5), axes, RATE)
-    loop = replace(loop_of(isolator_of(true), 50.0), path_delay=delay, smoothing=smoothing)
+    loop = loop_of(isolator_of(true), 50.0)
+    loop = replace(loop, path_delay=delay, smoothing=smoothing, clearing=clearing)
     regressors = (POWERS + 1) * true.floor.shape[1]
     late = {"path_delay": loop.path_delay}
     settings = (
@@ -285,11 +287,39 @@ def test_what_sampling_folds_of_a_held_command_is_taken_off_the_readings(late):
 
 
 @pytest.mark.slow
+def test_readings_through_an_anti_alias_filter_are_taken_as_they_are(tmp_path):
+    """The rest of the design is the same: what folds is in neither the filtered readings nor those that are cleared of it."""
+    true = draw_isolator(np.random.default_rng(12), 1, RATE)
+    floor, told = write_floor(tmp_path, flat()), []
+    for key in ("", "\nanti_alias = true", "\nanti_alias = 1"):
+        (tmp_path / "m.toml").write_text(true.toml().replace("[isolator]", f"[isolator]{key}", 1))
+        if key.endswith("1"):
+            with pytest.raises(InputError, match="anti_alias"):
+                isolate_file(str(tmp_path / "m.toml"), floor, str(tmp_path / "out"), RATE)
+            continue
+        out = tmp_path / f"out{len(told)}"
+        isolate_file(str(tmp_path / "m.toml"), floor, str(out), RATE)
+        about = json.loads((out / "isolator.json").read_text())
+        assert about.pop("anti_alias") == bool(key)
+        assert ("without an anti-alias filter" in (out / "report.html").read_text()) != bool(key)
+        told.append((about, (out / "isolator.c").read_text().splitlines()))
+    assert told[0][0] == told[1][0]
+    changed = [two for one, two in zip(told[0][1], told[1][1], strict=True) if one != two]
+    assert [float(number) for number in re.findall(r"[-+.\de]+", changed[0])] == [0.0] and len(changed) == 1
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("algorithm", "precision"), [("FeRls", "double"), ("FeRls", "single"), ("FeLms", "double")]
+    ("algorithm", "precision", "clearing"),
+    [
+        ("FeRls", "double", True),
+        ("FeRls", "single", True),
+        ("FeLms", "double", True),
+        ("FeRls", "double", False),
+    ],
 )
-def test_the_written_filters_are_those_of_the_design(tmp_path, algorithm, precision):
-    loop, weights, files, sensors = written(algorithm, precision)
+def test_the_written_filters_are_those_of_the_design(tmp_path, algorithm, precision, clearing):
+    loop, weights, files, sensors = written(algorithm, precision, clearing=clearing)
     library = compiled(files, tmp_path, DRIVER)
     rng = np.random.default_rng(7)
     floor, platform = rng.standard_normal((sensors, 3000)), rng.standard_normal((2, 3000))
@@ -299,7 +329,8 @@ def test_the_written_filters_are_those_of_the_design(tmp_path, algorithm, precis
     rows = [psi]
     for _ in range(POWERS):
         rows.append(psi := signal.sosfilt(loop.integrator, psi, axis=1))
-    wanted = weights @ np.vstack(rows) - signal.sosfilt(loop.skyhook, cleared(loop, platform, found), axis=1)
+    read = cleared(loop, platform, found) if clearing else platform
+    wanted = weights @ np.vstack(rows) - signal.sosfilt(loop.skyhook, read, axis=1)
     tolerance = 1e-9 if precision == "double" else 1e-4
     assert np.abs(found - wanted).max() < tolerance * np.abs(wanted).max()
     assert np.all(flags == 4)  # frozen

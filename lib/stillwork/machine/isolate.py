@@ -6,12 +6,12 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
 import stillwork
-from stillwork.base.checks import InputError, pluralise, require_array, require_number
+from stillwork.base.checks import InputError, pluralise, require_array, require_flag, require_number
 from stillwork.base.extras import require_package
 from stillwork.base.toml_files import Table
 from stillwork.control.isolation_filters import FrequencyNotch
@@ -138,7 +138,7 @@ def isolate_file(
     require_number("rate", rate, above=0.0)
     if limit != np.inf:
         require_number("limit", limit, above=0.0)
-    isolator, estimate, measured, notches, notes = read_isolator(machine, rate)
+    isolator, estimate, measured, notches, notes, filtered = read_isolator(machine, rate)
     spectra, floor_notes, seen = read_floor(floor, unit, isolator.sensors, rate, list(channel))
     spectra = at_sensors(spectra, isolator.sensors, floor_notes)
     for each in seen:  # a design takes a minute, and may be refused for just that
@@ -158,7 +158,9 @@ def isolate_file(
     )
     how = {"limit": limit, "variance": variance, "spread": spread, "correction": correction}
     made = _made(design, around, spectra, name, precision, **how)
-    about = _about(machine, made, spectra)
+    if filtered:  # what the design takes off the readings is not in them
+        made = made.of_filtered_readings(limit, name, precision)
+    about = _about(machine, made, spectra) | {"anti_alias": filtered}
     files = made.files | {f"{name}.json": json.dumps(about, indent=1, allow_nan=False) + "\n"}
     write_folder(folder, files)  # before the page: what was computed is not lost with a picture
     facts = [
@@ -200,6 +202,11 @@ class _Made(NamedTuple):
     run: Replay | None  # of the floor's record, as `learning`
     learning: Learning | None
 
+    def of_filtered_readings(self, limit: float, name: str, precision: str) -> Self:
+        """The same design, with the C for readings that come through an anti-alias filter."""
+        loop = replace(self.design.loop, clearing=False)
+        return self._replace(files=_written(replace(self.design, loop=loop), limit, name, precision))
+
     def facts(self, spectra: FloorSpectra, limit: float) -> list[list[str]]:
         """What was chosen, and what follows."""
         shown = self.learning.sentence() if self.learning else "on a floor whose strength is even"
@@ -223,17 +230,21 @@ def _made(
     correction: Callable | None,
 ) -> _Made:
     """What a design becomes on the floor's record, where there is one, and its prediction; refused where these forbid it."""
-    pause = PAUSES / (2 * np.pi * design.loop.shaping.highpass_hz)
 
     def written(each: IsolationDesign) -> dict[str, str]:
-        kept = each.steady.weights, each.guard, each.growth
-        return isolation_code(each.loop, each.settings, *kept, limit, pause, name, precision)
+        return _written(each, limit, name, precision)
 
     if spectra.record is None:
         found, times = predict(design, around, spectra, correction), settling_times(design, around, spectra)
         require_force(found, limit)
         return _Made(design, around, written(design), found, times, None, None)
-    steps: dict = {"name": name, "limit": limit, "pause_s": pause, "variance": variance, "spread": spread}
+    steps: dict = {
+        "name": name,
+        "limit": limit,
+        "pause_s": _pause(design),
+        "variance": variance,
+        "spread": spread,
+    }
     design, around, files, run, learning = settle_on_record(
         design, around, spectra, written, **steps, correction=correction
     )
@@ -241,6 +252,17 @@ def _made(
     require_force(found, limit)
     require_kept(run, found)
     return _Made(design, around, files, found, learning.settled, run, learning)
+
+
+def _pause(design: IsolationDesign) -> float:
+    """s from switching on to the first update."""
+    return PAUSES / (2 * np.pi * design.loop.shaping.highpass_hz)
+
+
+def _written(design: IsolationDesign, limit: float, name: str, precision: str) -> dict[str, str]:
+    """Its C, by file."""
+    kept = design.steady.weights, design.guard, design.growth
+    return isolation_code(design.loop, design.settings, *kept, limit, _pause(design), name, precision)
 
 
 def _about(machine: str, made: _Made, spectra: FloorSpectra) -> dict:
@@ -494,7 +516,8 @@ def read_isolator(file: str, rate: float):
     The file is TOML with [isolator] (``mass`` in kg, ``damping`` in N s/m and ``stiffness`` in N/m along the actuators, a
     number or a matrix, of one axis by default those of [machine]; ``actuator_pole_hz``; ``delay_s`` from sample to force, by
     default one sample; ``floor``, the motion of each axis's foot per floor sensor, by default one sensor for each;
-    ``notches_hz``; ``response``, a file in the same folder of the measured response, to which what is left out is fitted)
+    ``notches_hz``; ``anti_alias``, whether the platform's sensors are sampled through a filter below half the rate, by default
+    not where no response is given; ``response``, a file in the same folder of the measured response, to which what is left out is fitted)
     and optionally [noise] (``floor`` and ``platform``, m/s^2/sqrt(Hz)) and [estimate] (values of the mechanics other than
     delay and floor that the controller assumes instead). Or it is the measured response alone.
     """
@@ -509,7 +532,7 @@ def read_isolator(file: str, rate: float):
             fitted.mass, fitted.damping, fitted.stiffness, np.eye(len(fitted.mass)), fitted.actuator_pole, fitted.delay,
             QUIET, QUIET,
         )  # fmt: skip
-        return own, own, (f, seen), (), notes
+        return own, own, (f, seen), (), notes, False
     whole = open_machine_toml(file)
     own = own_table(whole, "isolator", "isolate")
     own.require_known(KNOWN["isolator"])
@@ -530,7 +553,13 @@ def read_isolator(file: str, rate: float):
         raise InputError(
             f"response is of {measured[1].shape[1]} axes, the isolator has {isolator.axes}; give the same"
         )
-    return isolator, estimate, measured, tuple(notches), notes
+    filtered = require_flag("anti_alias", own.get("anti_alias", False))
+    if measured is None and not filtered:
+        notes.append(
+            "the platform's sensors are sampled without an anti-alias filter: what the steps of the held command fold into their "
+            "readings is taken off; with such a filter give anti_alias = true"
+        )
+    return isolator, estimate, measured, tuple(notches), notes, filtered and measured is None
 
 
 def _mechanics_of(whole: Table, own: Table, measured, rate: float, notes: list[str]) -> dict:

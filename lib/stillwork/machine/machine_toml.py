@@ -26,7 +26,17 @@ KNOWN = {
         *("periodic", "setpoint", "move", "move_s", "rest_s", "feedforward_mass_kg", "feedforward_advance_s"),
     ),
     "isolator": (
-        *("response", "mass", "damping", "stiffness", "actuator_pole_hz", "delay_s", "floor", "notches_hz"),
+        *(
+            "response",
+            "mass",
+            "damping",
+            "stiffness",
+            "actuator_pole_hz",
+            "delay_s",
+            "floor",
+            "notches_hz",
+            "anti_alias",
+        ),
     ),
     "estimate": ("mass", "damping", "stiffness", "actuator_pole_hz"),
     "noise": ("floor", "platform"),
