@@ -73,7 +73,9 @@ def _found(claims: list[Claim]) -> str:
         for said, claim in said_of(paper["found"][:1], claims) if paper["source"] else ():
             words, over = sentence(said, claim).rstrip("."), claim.over
             if over is not None and over.share is not None:
-                words += f"; the claim agrees under {over.agree} of {over.tried} combinations of open choices"
+                words += f" ({claim.verdict}: {over.agree} of {over.tried} combinations of open choices)"
+            else:
+                words += f" ({claim.verdict})"
             lines.append(f"- **{paper['title']}**{f' ({by})' if (by := paper['by']) else ''}: {words}.")
     return "\n".join(lines)
 
