@@ -465,9 +465,7 @@ gives Table 1 but not Fig. 6; without that noise, Fig. 6 but far less power than
     page.check("isolation.tracking.largest-shift", max(moved))
     page.text("""## Under other choices
 
-With bands of only twice the flat amplitude the optimum moves less than single runs scatter, and FeLMS often settles first on
-the way back; with the trace as printed, which slows it six times, never. Which number agrees
-under which of these choices and not under every one (`data/isolation/settings.csv`):""")
+Which number agrees under which of these choices and not under every one (`data/isolation/settings.csv`):""")
     page.show(
         *wanted(
             paths.data("isolation", "settings.csv"),
