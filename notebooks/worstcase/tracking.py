@@ -228,7 +228,7 @@ def paint_win_map(
 def explore_tracking(bound: float, noise: float, scale: float, kind: str):
     """Fig. 2 with another bound, noise, size of the parameters, or with a jump or a drift, over half its trials: they take long."""
     truth = scale * path(kind, FIG_2_PARAMETERS, 375)
-    settings = {"forgetting": 0.95, "row_error": 0.25, "noise": noise, "penalty": 14.0, "progress": False}
+    settings = {"forgetting": 0.95, "row_error": 0.25, "noise": noise, "penalty": PENALTY, "progress": False}
     study = run_study(tracking_trial, 20, 1, truth=truth, bound=bound, **settings)
     size = np.linalg.norm(truth[:, 0])
     return paint_fig_2({f"20 trials: {kind}, |x| = {size:.3g}, η = {bound:.3g}, noise {noise:.3g}": study})
