@@ -368,13 +368,13 @@ _OMEGA = 2 * np.pi * np.geomspace(0.1, 2000.0, 8000)
 
 
 def control_bandwidth_hz(loop: StateModel, measure: str = "open loop") -> float:
-    """Control bandwidth (Hz) of a closed loop from `INPUTS` to `OUTPUTS`; 0 where it is unstable.
+    """Control bandwidth (Hz) of a closed loop from `INPUTS` to `OUTPUTS`: 0 where it tracks nothing, NaN where it is unstable.
 
     Of the ``open loop`` P C_eq, which is 1/S - 1 with S from v to e_true, the first 0 dB crossing (Definition 1.2.1); or
     of the sensitivity ``r to e_true``, that of Figs. 5.3 and 5.8, the frequency up to which it stays below -3 dB.
     """
     if not loop.is_stable:
-        return 0.0
+        return np.nan
     response = loop.frequency_response(_OMEGA)[0]
     if measure == "open loop":
         gain = np.abs(1 / response[INPUTS.index("v")] - 1)
@@ -405,7 +405,17 @@ def front_bandwidths(
 
 
 def front_values(kalman_hz: float, front_hz: np.ndarray) -> Values:
-    """Conclusion 5.3 as the ledger has it."""
+    """Conclusion 5.3 as the ledger has it.
+
+    Raises
+    ------
+    InputError
+        When a loop is unstable: it has no bandwidth that ranks.
+    """
+    if unstable := int(np.isnan([kalman_hz, *front_hz]).sum()):
+        raise InputError(
+            f"{unstable} of {len(front_hz) + 1} loops are unstable and have no bandwidth; take another plant"
+        )
     return {"motion.conclusion-5-3.below-kalman": float(np.mean(front_hz < kalman_hz))}
 
 
@@ -482,7 +492,7 @@ def aspect_costs(
         costs = (
             h2_norm(whole),
             weighted_peak(whole, solved.weight),
-            1 / hz if hz else np.inf,
+            1 / hz if hz > 0 else np.inf,
             rejected,
             stable,
         )

@@ -9,11 +9,13 @@ from notebooks.motion.optimal_observer import (
     control_bandwidth_hz,
     emphasised,
     front,
+    front_values,
     published_norms,
     sensitivity_weight,
     tipping_corner,
     weighted_peak,
 )
+from stillwork.base.checks import InputError
 from stillwork.control.applications import Application, compensator
 from stillwork.control.loops import INPUTS, OUTPUTS, closed_loop
 from stillwork.control.pid import PidFamily
@@ -133,7 +135,9 @@ def test_control_bandwidth_is_where_the_open_loop_and_the_sensitivity_cross():
     assert abs(error) == pytest.approx(np.sqrt(0.5), abs=1e-4)
     assert 0 < tracking < open_loop
     unstable = closed_loop(plant, None, PidFamily(stage_mass())(400.0).state_space())
-    assert control_bandwidth_hz(unstable) == 0.0
+    assert np.isnan(control_bandwidth_hz(unstable))
+    with pytest.raises(InputError, match="1 of 3 loops are unstable"):
+        front_values(open_loop, np.array([control_bandwidth_hz(unstable), open_loop]))
 
 
 @pytest.mark.slow
