@@ -135,7 +135,7 @@ def bandwidth_map(
 
 # === Windows of the limit =========================================================================================
 
-SEARCHES = {  # the frequencies of a search, and R; both are printed for none of the bandwidths
+SEARCHES = {  # errors that a search may have: frequencies that step over a resonance, half of the R of section 3.1
     "fine grid": ({}, None),
     "fine grid, half of R": ({}, sensor_noise_alone),
     "2000 frequencies": (COARSE, None),
