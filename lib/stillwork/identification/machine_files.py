@@ -306,7 +306,9 @@ def stated_units(names: Iterable[str]) -> tuple[str, str]:
         for kind, text in stated.items():
             if unit_factor(units.setdefault(kind, text)) != unit_factor(text):
                 raise InputError(
-                    f"the {kind} is in {units[kind]} and in {text}; give one unit to all of its columns"
+                    f"the {kind} is in {units[kind]} and in {text}, and columns of mixed units are not taken; give those of one unit "
+                    "in a file of their own, or, of a matrix, leave the units (SI) out of the names and state sensing and units in a "
+                    "table [decoupling]"
                 )
     return units.get("response", ""), units.get("force", "")
 
@@ -438,6 +440,10 @@ def one_response(
     if first == "real":
         # A unit other than 1 and % is the response's, which `load_machine` knows.
         return _plain(one) * x + 1j * _plain(other) * y, [taken, also]
+    if not one.decibels and np.any(x < 0):
+        raise InputError(
+            f"{names[0]} falls to {np.nanmin(x):.4g}, and no linear magnitude is negative; name it {names[0]} (dB) if it is in dB"
+        )
     size = one.reference * 10 ** (x / 20) if one.decibels else x
     return _plain(one) * size * np.exp(1j * other.factor * y), [taken, also]
 

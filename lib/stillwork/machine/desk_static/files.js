@@ -12,7 +12,7 @@ export function statedUnits(names) {
   const found = { response: "", drive: "" };
   const state = (kind, unit) => {
     const [one, other] = [found[kind] || unit, unit].map(unitFactor);
-    if (one[0] !== other[0] || one[1] !== other[1]) throw new Error(`the ${kind} is in ${found[kind]} and in ${unit}; give one unit to all of its columns`);
+    if (one[0] !== other[0] || one[1] !== other[1]) throw new Error(`the ${kind} is in ${found[kind]} and in ${unit}, and columns of mixed units are not taken; give those of one unit in a file of their own`);
     found[kind] ||= unit;
   };
   for (const { quantity, means } of names.map(heading)) {
