@@ -23,7 +23,7 @@ from stillwork.identification.machine_files import MachineFile, load_machine, lo
 from stillwork.identification.matrix_files import load_matrix
 from stillwork.lti.modal import ModalModel
 from stillwork.machine import pictures
-from stillwork.machine.axes_loops import FORMAT, AxesLoops, Place, paint_axes, paint_decoupling
+from stillwork.machine.axes_loops import FORMAT, LOWEST, AxesLoops, Place, paint_axes, paint_decoupling
 from stillwork.machine.decoupled import own_sensitivities, turns
 from stillwork.machine.designed_loop import DesignedLoop, load_design
 from stillwork.machine.hardware import ALLOWED_DB, own_functions
@@ -135,6 +135,8 @@ def _retest_axes(
     if not enough:
         stability = "the lines are too far apart, or end too early, to count turns"
         verdict = f"not decided: {stability}; measure finer" if verdict == HOLDS else verdict
+    if (count or not enough) and (strange := _strange(gain, alone)):
+        verdict = f"the promise does not hold: {strange}"
     outside = ", ".join(row[0] for row in changes if row[-1] != INSIDE)
     answer = [
         f"{matrix.source} with {controller.name}: {verdict}{outside and f'; not in the box: {outside}'}",
@@ -149,6 +151,25 @@ def _retest_axes(
     text = page("report.html", source=html.escape(matrix.source), body=body, held=held)
     target.write_text(text, encoding="utf-8")
     return [*answer, f"written: {target}", *(findings if verbose else [])]
+
+
+def _strange(gain: np.ndarray, alone: np.ndarray) -> str:
+    """Why a matrix is another than the design's: by the eigenvalues of what it is over the models of the axes at low lines.
+
+    They are near 1 for the machine of the design. A negative one lets an integrator run away, and says that an order of
+    inputs or outputs, or a sign, is another. Among the modes of soft springs they may be negative of the same machine:
+    it is asked where the turns of det(I + L) do not show the loops stable.
+    """
+    ratio = (gain / (alone - 1)[:, None, :])[:LOWEST]
+    middle = np.median(ratio.real, axis=0) + 1j * np.median(ratio.imag, axis=0)
+    found, own = np.linalg.eigvals(middle), np.abs(np.diag(middle))
+    if np.all(found.real > 0) and np.all((own < STRANGE) & (own > 1 / STRANGE)):
+        return ""
+    numbers = ", ".join(f"{each:.2g}" for each in np.sort(found.real))
+    return (
+        "another machine, or another order or sign of its inputs or outputs; at the lowest lines it is by directions "
+        f"{numbers} times that of the design, and 1 is wanted; correct the file, or design again from it"
+    )
 
 
 def _changed_axes(closed: AxesLoops, about: Table) -> list[list[str]]:
