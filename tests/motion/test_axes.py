@@ -14,7 +14,7 @@ from stillwork.identification.machine_files import load_machine
 from stillwork.machine import retest
 from stillwork.machine.axes import _first_fitted, read_axes
 from stillwork.machine.axes_modes import fit_matrix
-from stillwork.machine.decoupled import Axes
+from stillwork.machine.decoupled import Axes, decouplings
 from stillwork.machine.design import design_file
 from stillwork.machine.retest import retest_file
 
@@ -190,11 +190,58 @@ def test_what_is_missing_of_a_geometry_is_named(tmp_path):
         ("sensor = 1", "unknown name 'sensor'"),
         ("outputs = ['1', '2', '4']", "name them alike"),
         ("sensing = [[1.0, 0, 0], [0, 1.0, 0]]\naxes = ['z']", "1 and 2 of 2 axes"),
+        ("sensing = [[1.0, 0, 0], [0, 1.0, 0]]\nunits = ['m', 'N']", r'units = \[\["m", "N"\], '),
+        ("sensing = [[1.0, 0, 0], [0, 1.0, 0]]\nunits = 'm'", r'units = \[\["m", "N"\], '),
+        ("sensing = [[1.0, 0, 0], [2.0, 0, 0]]", "sensing has rank 1, and 2 axes: its rows depend"),
     ):
         (tmp_path / "my.toml").write_text(f'[decoupling]\nresponse = "plant.npz"\n{text}\n')
         with pytest.raises(InputError, match=message):
             design_file(str(tmp_path / "my.toml"), str(tmp_path / "out"), RATE)
     assert not (tmp_path / "out").exists()
+
+
+def test_columns_of_mixed_units_are_refused_with_a_cure_that_keeps_them_true(tmp_path):
+    seen = accelerance(*machine(2, 3))
+    motion, drive = ("m/s^2", "rad/s^2"), ("N", "(N m)")
+    named = {f"h{o + 1}{i + 1} ({motion[o]}/{drive[i]})": seen[:, o, i] for o in range(2) for i in range(2)}
+    np.savez(tmp_path / "plant.npz", **{"frequency (Hz)": HZ}, **named)
+    with pytest.raises(InputError, match=r"mixed units are not taken; .* state sensing and units in a table"):
+        read_axes(str(tmp_path / "plant.npz"), {})
+    np.savez(tmp_path / "plant.npz", **{"frequency (Hz)": HZ, "h": seen})
+    text = 'sensing = [[1.0, 0.0], [0.0, 1.0]]\nunits = [["m", "N"], ["rad", "N m"]]\n'
+    (tmp_path / "my.toml").write_text(f'[decoupling]\nresponse = "plant.npz"\n{text}')
+    assert read_axes(str(tmp_path / "my.toml"), {}).units == (("m", "N"), ("rad", "N m"))
+
+
+def test_a_negative_magnitude_is_refused_unless_it_is_in_db(tmp_path):
+    seen = accelerance(*machine(1, 3))[:, 0, 0]
+    size, phase = 20 * np.log10(np.abs(seen)) - 40, np.degrees(np.angle(seen))
+    for name in ("Gain", "Gain (dB)"):
+        table = np.column_stack([HZ, size, phase])
+        header = f"frequency (Hz),{name},Phase (deg)"
+        np.savetxt(tmp_path / "plant.csv", table, delimiter=",", header=header, comments="")
+        if name == "Gain":
+            with pytest.raises(InputError, match=r"no linear magnitude is negative; name it Gain \(dB\)"):
+                load_machine(tmp_path / "plant.csv")
+    held = load_machine(tmp_path / "plant.csv").accelerance.response
+    assert np.abs(held) == pytest.approx(10 ** (size / 20))
+
+
+def test_names_and_units_are_refused_of_axes_that_are_only_found(tmp_path):
+    """By their index they would stand on axes in any order, in the page and in the C."""
+    true = machine(2, 3)
+    np.savez(tmp_path / "plant.npz", **{"frequency (Hz)": HZ, "h (m/s^2/N)": accelerance(*true)})
+    for text, message in (
+        ('units = [["m", "N"], ["rad", "N m"]]', "units is given without sensing"),
+        ('axes = ["z", "tilt"]', "axes is given without sensing or actuation"),
+        (
+            f'units = [["m", "N"]]\nactuation = {np.linalg.inv(true[3][:2]).tolist()}',
+            "units is given without",
+        ),
+    ):
+        (tmp_path / "my.toml").write_text(f'[decoupling]\nresponse = "plant.npz"\n{text}\n')
+        with pytest.raises(InputError, match=message):
+            read_axes(str(tmp_path / "my.toml"), {})
 
 
 def test_the_order_of_a_geometry_is_stated_or_clear(tmp_path):
@@ -281,6 +328,32 @@ def test_a_retest_of_the_whole_holds_on_its_machine_and_not_on_one_that_has_chan
     own = str(tmp_path / "machine" / "axis-1" / "controller_1.json")
     file = str(tmp_path / "machine" / "axis-1.npz")
     assert "the promise holds" in retest_file(own, file, str(tmp_path / "own.html"))[0]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_another_order_or_sign_shows_at_the_lowest_lines(seed):
+    """Whatever the controllers; noise and a change of gain within the box do not."""
+    true, rng = machine(2, seed), np.random.default_rng(seed)
+    _, (axes, *_) = decouplings(HZ, accelerance(*true))
+    seen = axes.of(accelerance(*true))
+    controllers = rng.standard_normal((len(HZ), 2)) + 1j * rng.standard_normal((len(HZ), 2))
+    alone = 1 + np.einsum("fii->fi", seen) * controllers
+    omega, ratio, out, into = true
+
+    def found(out, into):
+        other = axes.of(accelerance(omega, ratio, out, into))
+        noisy = other * (1 + 0.02 * rng.standard_normal(other.shape))
+        return retest._strange(noisy * controllers[:, None, :], alone)
+
+    assert found(out, into * [1.1, 0.9]) == ""
+    for changed in (
+        (out[::-1], into),
+        (out, into[:, ::-1]),
+        (out, into * [1, -1]),
+        (out, -into),
+        (out, into * [1, 9]),
+    ):
+        assert "another order or sign" in found(*changed)
 
 
 @pytest.mark.slow

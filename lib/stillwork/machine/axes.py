@@ -91,11 +91,39 @@ def read_axes(file: str, load_options: Mapping) -> Wanted | None:
             f"{matrix.source} holds {len(matrix.outputs)} outputs and {len(matrix.inputs)} inputs ({matrix.example}); choose as "
             "many of each, or give both sensing and actuation of a table [decoupling], or one response with --response"
         )
-    names = tuple(map(str, table.get("axes", [f"axis {k + 1}" for k in range(count)])))
-    units = tuple((str(y), str(u)) for y, u in table.get("units", [matrix.units] * count))
-    if not len(names) == len(units) == count:
-        raise InputError(f"axes and units name {len(names)} and {len(units)} of {count} axes; name each")
+    for name, each in given.items():
+        if each is not None and (rank := np.linalg.matrix_rank(each)) < count:
+            raise InputError(
+                f"{name} has rank {rank}, and {count} axes: its {'rows' if name == 'sensing' else 'columns'} depend on each other; "
+                "give one of its own to each axis"
+            )
+    names, units = _labels(table, count, matrix.units)
     return Wanted(matrix, path, sensing, actuation, names, units)
+
+
+def _labels(
+    table: Table, count: int, units: tuple[str, str]
+) -> tuple[tuple[str, ...], tuple[tuple[str, str], ...]]:
+    """Names and units of the axes; those of axes that are not known before they are found are refused."""
+    for name, needed in (("axes", ("sensing", "actuation")), ("units", ("sensing",))):
+        if name in table and not any(each in table for each in needed):
+            raise InputError(
+                f"{name} is given without {' or '.join(needed)}: which axes are found, in what order and in whose unit, is not known "
+                f"before; give sensing, whose rows are the axes, or leave {name} out"
+            )
+    names = tuple(map(str, table.get("axes", [f"axis {k + 1}" for k in range(count)])))
+    pairs = table.get("units", [units] * count)
+    formed = isinstance(pairs, Sequence) and not isinstance(pairs, str)
+    if not formed or not all(
+        isinstance(each, Sequence) and not isinstance(each, str) and len(each) == 2 for each in pairs
+    ):
+        raise InputError(
+            f"units is {pairs!r}; give a pair an axis, of its position and of its force, such as "
+            'units = [["m", "N"], ["rad", "N m"]]'
+        )
+    if not len(names) == len(pairs) == count:
+        raise InputError(f"axes and units name {len(names)} and {len(pairs)} of {count} axes; name each")
+    return names, tuple((str(y), str(u)) for y, u in pairs)
 
 
 def _ordered(matrix: MatrixFile, table: Table) -> MatrixFile:
@@ -319,11 +347,13 @@ def _write(task: _Task, low: LowEnd | None, history: list[str], out: Path) -> li
     request, axes, wanted, judged = task.request, task.axes, task.wanted, task.closed.judged()
     matrix, count = wanted.matrix, len(wanted.names)
     folders = [f"axis-{k + 1}" for k in range(count)]
+    # Sensors of a file that states no unit may be of several kinds.
+    stated = [f" in {unit}" if not matrix.notes else ", unit not stated" for unit in matrix.units]
     code = axes_code(
         *(axes.sensing, axes.actuation, folders, request.name, request.precision),
         signals=(
-            f"error[] in {matrix.units[0]}: {', '.join(matrix.outputs)}",
-            f"out[] in {matrix.units[1]}: {', '.join(matrix.inputs)}",
+            f"error[]{stated[0]}: {', '.join(matrix.outputs)}",
+            f"out[]{stated[1]}: {', '.join(matrix.inputs)}",
         ),
     )
     matrices = task.closed.sensitivities()

@@ -119,7 +119,7 @@ def own_table(entries: Table, name: str, command: str) -> Table:
     if name not in entries:
         raise InputError(
             f"{entries.where}: no table [{name}], which {command} reads ({CONTENT[name]}); add it, as "
-            "`python -m stillwork new FILE.toml` writes it"
+            f"`python -m stillwork new FILE.toml` writes it{' (behind #, which you take off)' * (name == 'decoupling')}"
         )
     return entries.table(name)
 
@@ -165,4 +165,5 @@ def new_machine(file: str, like: str = "wafer-stage") -> list[str]:
         f"{file}: {values['name']}, with typical numbers; enter yours",
         f"its error budget: python -m stillwork budget {file}",
         f"its feedforward: python -m stillwork isolate {file} FLOOR --rate HZ --out DIR",
+        f"controllers of several axes: take the # off its table [decoupling]; python -m stillwork design {file} --rate HZ --out DIR",
     ]
