@@ -375,7 +375,7 @@ def judged(into: Switched, back: Switched) -> dict[str, tuple[float, tuple[float
 # === A slow floor =================================================================================================
 
 
-MICROSEISM_HZ, WATCHED_S = 0.2, 40.0
+MICROSEISM_HZ, MICROSEISM_DAMPING, WATCHED_S = 0.2, 0.1, 40.0
 
 
 class SlowRun(NamedTuple):
@@ -387,15 +387,22 @@ class SlowRun(NamedTuple):
 
 
 def with_microseism(floor: ShapedFloor, times: float) -> ShapedFloor:
-    """A floor with a peak at `MICROSEISM_HZ` of so many times the density of its plateau."""
+    """A floor with a narrow peak at `MICROSEISM_HZ` of so many times the density of its plateau, which has a gain of one.
+
+    Four biquads (s^2 + 2 d g w s + w^2) / (s^2 + 2 d w s + w^2), each of gain g at w, where they take the floor's own gain up
+    to the square root of `times`; far above w they are one. One alone would have skirts that fill the band.
+    """
     w, rate = 2 * np.pi * MICROSEISM_HZ, floor.sample_rate
-    there = [np.abs(signal.freqz_sos(rows, [MICROSEISM_HZ], fs=rate)[1].item()) for rows in floor.sections]
+    own = [np.abs(signal.freqz_sos(rows, [MICROSEISM_HZ], fs=rate)[1].item()) for rows in floor.sections]
+    width = 2 * MICROSEISM_DAMPING * w
     peaks = [
-        np.hstack(signal.bilinear([1, np.sqrt(times) / own * w / 2, w * w], [1, w / 2, w * w], rate))
-        for own in there
+        np.hstack(
+            signal.bilinear([1, width * (np.sqrt(times) / gain) ** 0.25, w * w], [1, width, w * w], rate)
+        )
+        for gain in own
     ]
-    sections = np.concatenate([floor.sections, np.array(peaks)[:, None]], axis=1)
-    return ShapedFloor(sections, floor.scale, rate)
+    four = np.repeat(np.array(peaks)[:, None], 4, axis=1)
+    return ShapedFloor(np.concatenate([floor.sections, four], axis=1), floor.scale, rate)
 
 
 def on_slow_floor(

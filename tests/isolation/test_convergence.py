@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from experiments.isolation.floors import coloured_floor, flat_floor
 from experiments.isolation.mean_convergence import mean_course
@@ -22,6 +23,7 @@ from notebooks.isolation.tracking import (
     settled,
     switch_between,
     tracking_trial,
+    with_microseism,
 )
 from stillwork.base.checks import InputError
 from workbook.studies import run_study
@@ -156,3 +158,22 @@ def test_the_trace_of_each_sample_speeds_up_weak_directions():
     mean = (drawn**2 / np.sum(drawn**2, axis=0)).mean(axis=1)
     assert gain == pytest.approx(mean / (powers / powers.sum()), rel=0.01)
     assert gain_by_trace(np.eye(3)) == pytest.approx(np.ones(3), rel=1e-6)
+
+
+@pytest.mark.parametrize("times", [100.0, 1e3, 1e4])
+def test_a_microseism_is_a_peak_and_leaves_the_band_as_it_is(times):
+    """Its density over the plateau's is as stated at 0.2 Hz, and from 5 Hz on the floor's own, within a twentieth."""
+    slow, f = with_microseism(FLOOR, times), np.r_[0.2, np.geomspace(5, 300, 200)]
+    for own, rows in zip(FLOOR.sections, slow.sections, strict=True):
+        before, after = (
+            np.prod(
+                [
+                    np.abs(signal.freqz(each[:3], each[3:], 2 * np.pi * f / FLOOR.sample_rate)[1]) ** 2
+                    for each in part
+                ],
+                axis=0,
+            )
+            for part in (own, rows[len(own) :])
+        )
+        assert before[0] * after[0] == pytest.approx(times, rel=0.05)
+        np.testing.assert_allclose(after[1:], 1.0, rtol=0.05)
