@@ -5,12 +5,13 @@ import json
 import os
 import re
 import shutil
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 from scipy import signal
 
+from benchmarks.isolators import banded_power
 from naive import adaptation
 from naive.isolators import (
     FINE,
@@ -32,7 +33,7 @@ from stillwork.machine import isolation_design
 from stillwork.machine import replay as replay_module
 from stillwork.machine.c_code import FADE, isolation_code
 from stillwork.machine.inspect import inspect_file
-from stillwork.machine.isolate import isolate_file
+from stillwork.machine.isolate import _kept_often, isolate_file, unmodelled
 from stillwork.machine.isolation import POWERS, FeedforwardLoop, Isolator, Mismatch, encirclements, path_angle
 from stillwork.machine.isolation_design import (
     CUTOFFS_HZ,
@@ -600,6 +601,76 @@ def test_a_measured_response_gives_the_isolator_and_is_what_the_path_is_judged_o
     assert not (tmp_path / "wrong").exists()
 
 
+def sampled_response(true, f):
+    """Readings per held command, with what sampling folds, from the plant's matrices."""
+    a, b, c = true.matrices()
+    force = b[:, : len(c)]
+    whole = np.linalg.matrix_power(a, FINE)
+    steps = sum(np.linalg.matrix_power(a, k) @ force for k in range(FINE))
+    z = np.exp(2j * np.pi * f / true.rate)[:, None, None]
+    return z ** -float(true.late) * (c @ np.linalg.solve(z * np.eye(len(a)) - whole, steps + 0j))
+
+
+@dataclass(frozen=True)
+class Filtered(TrueIsolator):
+    """All sensors are read through a Butterworth filter of fourth order at 0.35 times the rate."""
+
+    def matrices(self):
+        """With the filter before the actuators, as it commutes: the floor's sensors have the same one, and no motion is known but through it."""
+        n, s = self.floor.shape
+        a, b, c = super().matrices()
+        analog = signal.zpk2ss(*signal.butter(4, 2 * np.pi * 0.35 * self.rate, analog=True, output="zpk"))
+        step, gain, out, _, _ = signal.cont2discrete(analog, 1 / (FINE * self.rate))
+        step, gain, out = (np.kron(np.eye(n), each) for each in (step, gain, out))
+        whole = np.block([[a, b[:, :n] @ out], [np.zeros((4 * n, len(a))), step]])
+        moves = np.block([[np.zeros((len(a), n)), b[:, n:]], [gain, np.zeros((4 * n, 2 * s))]])
+        return whole, moves, np.hstack([c, np.zeros((n, 4 * n))])
+
+
+@pytest.mark.parametrize("axes", [1, 2])
+def test_a_path_is_found_again_from_readings_without_a_filter(axes):
+    """Within what the images of its modes, which are left out, are worth."""
+    true = replace(draw_isolator(np.random.default_rng(7), axes, RATE), pole=2 * np.pi * 350)
+    f = np.linspace(1, 350, 1400)
+    fitted = fit_path(f, sampled_response(true, f), RATE, folds=True)
+    assert fitted.delay * RATE == pytest.approx(true.late, abs=0.05) and fitted.residual < 0.01
+    np.testing.assert_allclose(fitted.mass, true.mass, rtol=0.01, atol=0.01 * true.mass.max())
+
+
+@pytest.mark.parametrize("filtered", [True, False])
+def test_what_was_measured_is_the_path_of_the_platform_with_and_without_a_filter(filtered):
+    """Through a filter it is without what sampling folds, else with it: either way the platform's own path is found."""
+    true = replace(draw_isolator(np.random.default_rng(4), 2, RATE), pole=2 * np.pi * 500)
+    f, wrong = np.linspace(2, 100, 300), replace(isolator_of(true), mass=1.02 * true.mass)
+    measured = true.response(f) if filtered else sampled_response(true, f)
+    held = paths_through(wrong, RATE, unmodelled(wrong, (f, measured), RATE, filtered))(f)[1]
+    size = np.linalg.norm(true.response(f), axis=(1, 2))
+    folds = np.linalg.norm(sampled_response(true, f) - true.response(f), axis=(1, 2)) / size
+    off = np.linalg.norm(held - true.response(f), axis=(1, 2)) / size
+    assert folds.max() > 0.2 and np.all(off < 0.1 * folds + 1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("filtered", [True, False])
+def test_a_loop_of_a_measured_response_leaves_what_is_promised(tmp_path, filtered):
+    """Closed by its C on the plant whose response was measured, through an anti-alias filter or without one."""
+    one, kind = np.eye(1), Filtered if filtered else TrueIsolator
+    w = 2 * np.pi * 24.0
+    true = kind(5 * one, 0.06 * w * 5 * one, 5 * w**2 * one, one, 1000 * np.pi, 1, RATE, 5e-6, 5e-6, np.inf)
+    f = np.linspace(1, 350, 1400)
+    np.savez(tmp_path / "h.npz", **{"frequency (Hz)": f, "h (m/s^2/N)": sampled_response(true, f)[:, 0, 0]})
+    stated = "" if filtered else "anti_alias = false\n"
+    (tmp_path / "m.toml").write_text(
+        f'[isolator]\nresponse = "h.npz"\n{stated}[noise]\nfloor = 5e-6\nplatform = 5e-6\n'
+    )
+    isolate_file(str(tmp_path / "m.toml"), write_floor(tmp_path, flat()), str(tmp_path / "out"), RATE)
+    about = json.loads((tmp_path / "out" / "isolator.json").read_text())
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert about["anti_alias"] == filtered == ("anti_alias = false" in page)
+    low, high, found, without = judge(tmp_path / "out", true, flat())
+    assert np.all(low <= found) and np.all(found <= high) and np.all(high < without)
+
+
 @pytest.mark.slow
 def test_a_wrong_path_is_named_although_some_skyhook_gains_hide_it(tmp_path):
     # With much skyhook the phase stays below 90 degrees, and what then fails in the box is the skyhook's peak.
@@ -903,3 +974,20 @@ def test_the_guide_is_what_the_command_takes_and_does(tmp_path):
     )
     assert any("what sets the time constant: 3 periods" in each for each in lines)
     assert f"up to {LONGEST_S:g} s" in guide and any("modes at 20.13 Hz" in each for each in lines)
+
+
+@pytest.mark.parametrize(("share", "words"), [(0.12, "weights are kept 12 % of the time"), (0.04, "")])
+def test_the_answer_says_where_a_record_keeps_the_weights_often(share, words):
+    run = replay_module.Replay("", np.ones((3, 1, 1)), np.ones((2, 1, 1)), (0, 0), share, np.ones(1))
+    assert words in _kept_often(run) and bool(_kept_often(run)) == bool(words)
+
+
+def test_the_benchmarks_pushes_leave_the_calm_minute_before_them_as_it_is():
+    """A tone keeps its power in the band; pushes 20 s later add nothing to a minute whose floor is a millionth of theirs."""
+    second, seconds = 500, 120
+    time = np.arange(second * seconds) / second
+    tone = 1e-7 * np.sqrt(2) * np.sin(2 * np.pi * 10 * time)
+    pushed = tone + 0.05 * np.sin(np.pi * (time - 80)) * ((time > 80) & (time < 81))
+    for rows in (tone, pushed):
+        calm = banded_power(rows[None], second, 1.0, 80.0)[5:65]
+        np.testing.assert_allclose(calm, 1e-14, rtol=0.02)

@@ -68,6 +68,12 @@ LINE_HZ = 0.25  # between lines of a record
 SLOWEST_HZ = 0.02  # lowest frequency at which a floor is judged, and the resolution of spectra and of a record that is long enough
 SLOW_RATIO = 5.0  # of slow motion per root Hz over that in band, above which it is reported (chosen)
 LISTENED_S = 60.0  # duration over which the motion predicted by spectra is judged
+OFTEN = 0.05  # share of a record in which weights are kept, above which the answer says so
+# Noted where a response is given and no `anti_alias`.
+THROUGH = (
+    "the response was measured, and the platform's sensors are sampled, through an anti-alias filter; without one give a TOML "
+    "file with anti_alias = false"
+)
 PAUSES = 5.0  # of the band's slowest time constant, for which the weights are kept after the limit acted
 
 
@@ -143,7 +149,7 @@ def isolate_file(
     spectra = at_sensors(spectra, isolator.sensors, floor_notes)
     for each in seen:  # a design takes a minute, and may be refused for just that
         print(f"{Path(floor).name}: {each}", file=sys.stderr, flush=True)
-    correction = None if measured is None else unmodelled(isolator, measured, rate)
+    correction = None if measured is None else unmodelled(isolator, measured, rate, filtered)
     design, around = design_isolation(
         isolator,
         spectra,
@@ -306,8 +312,15 @@ def _answer(source: str, made: _Made, spectra: FloorSpectra, spread: float) -> l
         f"{loop.gain:.3g} N s/m",
         f"it leaves at most {columns[2]} m/s^2 rms (at least {columns[1]}; {columns[0]} without control) at {found.band_hz[0]:g} to "
         f"{found.band_hz[1]:.4g} Hz, at all {ENDS + DRAWS} isolators tried within {100 * spread:g} %: {columns[3]}; commands reach at most "
-        f"{_listed(found.force[2])} N",
+        f"{_listed(found.force[2])} N{_kept_often(made.run)}",
     ]
+
+
+def _kept_often(run: Replay | None) -> str:
+    """What is said of a record that keeps the weights for more than `OFTEN` of its time."""
+    if run is None or run.kept <= OFTEN:
+        return ""
+    return f"; weights are kept {100 * run.kept:.0f} % of the time on this record"
 
 
 def _does_not_pay(found: IsolationPrediction) -> list[str]:
@@ -517,14 +530,14 @@ def read_isolator(file: str, rate: float):
     number or a matrix, of one axis by default those of [machine]; ``actuator_pole_hz``; ``delay_s`` from sample to force, by
     default one sample; ``floor``, the motion of each axis's foot per floor sensor, by default one sensor for each;
     ``notches_hz``; ``anti_alias``, whether the platform's sensors are sampled through a filter below half the rate, by default
-    not where no response is given; ``response``, a file in the same folder of the measured response, to which what is left out is fitted)
+    where a response is given; ``response``, a file in the same folder of the measured response, to which what is left out is fitted)
     and optionally [noise] (``floor`` and ``platform``, m/s^2/sqrt(Hz)) and [estimate] (values of the mechanics other than
     delay and floor that the controller assumes instead). Or it is the measured response alone.
     """
     path = Path(file)
     if path.suffix.lower() != ".toml":
         f, seen, notes = read_response(path)
-        fitted = _fitted(f, seen, rate, notes)
+        fitted = _fitted(f, seen, rate, True, notes)
         notes.append(
             f"one floor sensor for each axis, sensor noise {QUIET:g} m/s^2/sqrt(Hz); to change this give a TOML file"
         )
@@ -532,7 +545,8 @@ def read_isolator(file: str, rate: float):
             fitted.mass, fitted.damping, fitted.stiffness, np.eye(len(fitted.mass)), fitted.actuator_pole, fitted.delay,
             QUIET, QUIET,
         )  # fmt: skip
-        return own, own, (f, seen), (), notes, False
+        notes.append(THROUGH)
+        return own, own, (f, seen), (), notes, True
     whole = open_machine_toml(file)
     own = own_table(whole, "isolator", "isolate")
     own.require_known(KNOWN["isolator"])
@@ -545,7 +559,8 @@ def read_isolator(file: str, rate: float):
     if "response" in own:
         f, seen, notes = read_response(path.parent / str(own["response"]))
         measured = f, seen
-    table_of = Table({**_mechanics_of(whole, own, measured, rate, notes), **own}, own.where)
+    filtered = require_flag("anti_alias", own.get("anti_alias", measured is not None))
+    table_of = Table({**_mechanics_of(whole, own, measured, rate, filtered, notes), **own}, own.where)
     isolator = _isolator(table_of, noise, rate)
     estimate = _isolator(Table({**table_of, **other}, whole.where), noise, rate) if other else isolator
     notches = require_array("notches_hz", own.get("notches_hz", []), ndim=1).tolist()
@@ -553,16 +568,17 @@ def read_isolator(file: str, rate: float):
         raise InputError(
             f"response is of {measured[1].shape[1]} axes, the isolator has {isolator.axes}; give the same"
         )
-    filtered = require_flag("anti_alias", own.get("anti_alias", False))
-    if measured is None and not filtered:
+    if measured is not None and "anti_alias" not in own:
+        notes.append(THROUGH)
+    if not filtered:
         notes.append(
             "the platform's sensors are sampled without an anti-alias filter: what the steps of the held command fold into their "
             "readings is taken off; with such a filter give anti_alias = true"
         )
-    return isolator, estimate, measured, tuple(notches), notes, filtered and measured is None
+    return isolator, estimate, measured, tuple(notches), notes, filtered
 
 
-def _mechanics_of(whole: Table, own: Table, measured, rate: float, notes: list[str]) -> dict:
+def _mechanics_of(whole: Table, own: Table, measured, rate: float, filtered: bool, notes: list[str]) -> dict:
     """What [isolator] leaves out of the mechanics: of a measured response fitted to it, else by [machine]."""
     if {"mass", "damping", "stiffness"} & {*own}:
         return {}
@@ -573,7 +589,7 @@ def _mechanics_of(whole: Table, own: Table, measured, rate: float, notes: list[s
                 "give one of the three"
             )
         return suspended(whole)
-    fitted = _fitted(*measured, rate, notes)
+    fitted = _fitted(*measured, rate, filtered, notes)
     return {
         **{name: getattr(fitted, name) for name in ("mass", "damping", "stiffness")},
         "actuator_pole_hz": fitted.actuator_pole / (2 * np.pi),
@@ -581,9 +597,9 @@ def _mechanics_of(whole: Table, own: Table, measured, rate: float, notes: list[s
     }
 
 
-def _fitted(f: np.ndarray, seen: np.ndarray, rate: float, notes: list[str]) -> PathFit:
+def _fitted(f: np.ndarray, seen: np.ndarray, rate: float, filtered: bool, notes: list[str]) -> PathFit:
     """The mechanics fitted to a measured response; the relative error is noted."""
-    fitted = fit_path(f, seen, rate)
+    fitted = fit_path(f, seen, rate, folds=not filtered)
     notes.append(f"mechanics fitted to {len(f)} lines, error {100 * fitted.residual:.2g} % of the response")
     return fitted
 
@@ -625,10 +641,14 @@ def read_response(path: Path) -> tuple[np.ndarray, np.ndarray, list[str]]:
     return omega / (2 * np.pi), np.moveaxis(rows, -1, 0).astype(complex), notes
 
 
-def unmodelled(isolator: Isolator, measured, rate: float):
-    """Measured P2 less the isolator's, at frequencies in Hz: linear between lines, zero beyond them."""
+def unmodelled(isolator: Isolator, measured, rate: float, filtered: bool = True):
+    """Measured P2 less the isolator's, at frequencies in Hz: linear between lines, zero beyond them.
+
+    What was measured through an anti-alias filter (`filtered`) is without what sampling folds, else with it.
+    """
     lines, seen = measured
-    off = (seen - isolator.paths(lines, 1 / rate)[2]).reshape(len(lines), -1)
+    _, held, sampled = isolator.paths(lines, 1 / rate)
+    off = (seen - (held if filtered else sampled)).reshape(len(lines), -1)
 
     def more(f):
         moved = np.stack([np.interp(f, lines, each, left=0.0, right=0.0) for each in off.T], axis=1)

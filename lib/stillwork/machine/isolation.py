@@ -129,8 +129,8 @@ class FeedforwardLoop:
     path_delay: Natural = 0  # samples from a command to its filtered error
     # s: of a first-order low-pass that the weights pass on their way to the command; the error takes off what was sent
     smoothing: NonNegative = 0.0
-    # Whether the platform's readings are cleared of what sampling folds of the steps of the held command; a measured
-    # response, through an anti-alias filter, has little of it
+    # Whether the platform's readings are cleared of what sampling folds of the steps of the held command; through an
+    # anti-alias filter they have little of it
     clearing: bool = True
 
     def __post_init__(self):

@@ -555,7 +555,7 @@ def design_isolation(
     """
     estimate = isolator if estimate is None else estimate
     own = paths_through(isolator, rate, correction)
-    first = _first_loop(isolator, estimate, own, floor, rate, band_hz, notches, correction is None)
+    first = _first_loop(isolator, estimate, own, floor, rate, band_hz, notches)
     box = _box(isolator, spread, np.random.default_rng(seed))
     paths = [paths_through(each, rate, correction) for each in box]
     tried = [
@@ -601,12 +601,11 @@ def _first_loop(
     rate: float,
     band_hz,
     notches,
-    clearing,
 ) -> FeedforwardLoop:
     """A loop in its band, as given or chosen, from which those that are tried are made."""
     mass, omega = _mean_mode(estimate)
     shaping = NoiseShaping(1.0, rate / 8, 3, notches)
-    first = FeedforwardLoop(rate, 0.4 * mass * omega, 2.0, 1.0, shaping, estimate, clearing=clearing)
+    first = FeedforwardLoop(rate, 0.4 * mass * omega, 2.0, 1.0, shaping, estimate)
     low, high = band_hz if any(band_hz) else _choose_band(first, own, estimate.frequencies_hz)
     top = float(floor.frequencies_hz[-1])
     if not any(band_hz) and top > isolator.frequencies_hz[-1]:

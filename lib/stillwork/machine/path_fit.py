@@ -10,6 +10,7 @@ from scipy import optimize
 from stillwork.base.bounds import Positive, Vector
 from stillwork.base.checks import InputError, require_array
 from stillwork.base.validation import by_value, checked
+from stillwork.machine.isolation import IMAGES
 
 MOST_LINES = 250  # of the refinement; more are thinned
 START_LINES = 60  # of the trial of each start
@@ -32,7 +33,9 @@ class PathFit:
 
 
 @checked
-def fit_path(frequencies_hz: Vector, response: ArrayLike, sample_rate: Positive) -> PathFit:
+def fit_path(
+    frequencies_hz: Vector, response: ArrayLike, sample_rate: Positive, *, folds: bool = False
+) -> PathFit:
     """Fit an isolator to its acceleration along every actuator per command of every actuator.
 
     Parameters
@@ -42,6 +45,8 @@ def fit_path(frequencies_hz: Vector, response: ArrayLike, sample_rate: Positive)
         (m/s^2)/N.
     sample_rate : float
         Of the controller whose hold lies within the response, Hz.
+    folds : bool
+        Whether the response holds what sampling folds of the steps of the held command: no anti-alias filter took it off.
 
     Returns
     -------
@@ -62,14 +67,14 @@ def fit_path(frequencies_hz: Vector, response: ArrayLike, sample_rate: Positive)
         raise InputError(f"frequencies_hz holds {len(f)} lines, too few for a fit; give more")
     few = _thinned(f, START_LINES)
     kept = _thinned(f, MOST_LINES)
-    misfit, linear = _problem(f[few], seen[few], sample_rate)
+    misfit, linear = _problem(f[few], seen[few], sample_rate, folds)
     starts = []
     for pole in 2 * np.pi * POLES_HZ:
         for delay in DELAYS / sample_rate:
             entries = linear(pole, delay)
             starts.append((float(np.sum(misfit(entries, pole, delay) ** 2)), pole, delay, entries))
     _, pole, delay, entries = min(starts, key=lambda each: each[0])
-    misfit, _ = _problem(f[kept], seen[kept], sample_rate)
+    misfit, _ = _problem(f[kept], seen[kept], sample_rate, folds)
     scale = np.concatenate([np.abs(each).max() * np.ones(entries_each) for each in np.split(entries, 3)])
 
     def unpack(x):
@@ -104,16 +109,24 @@ def _symmetric(entries, axes):
     return whole
 
 
-def _problem(f, seen, sample_rate):
+def _problem(f, seen, sample_rate, folds):
     """Misfit of entries, pole and delay, and the entries that solve the linear problem for given pole and delay."""
     axes = seen.shape[-1]
     rows, columns = np.tril_indices(axes)
     s = 2j * np.pi * f[:, None, None]
     size = np.linalg.norm(seen, axis=(1, 2)) / axes
     hold = np.exp(-s / (2 * sample_rate)) * np.sinc(f / sample_rate)[:, None, None]
+    images = f + np.delete(np.arange(-IMAGES, IMAGES + 1), IMAGES)[:, None] * sample_rate
+    shifted = 2j * np.pi * images
+    imaged = np.exp(-shifted / (2 * sample_rate)) * np.sinc(images / sample_rate)
 
     def through(pole, delay):
         return hold * pole / (s + pole) * np.exp(-s * delay)
+
+    def folded(mass, pole, delay):
+        """What sampling folds: far above the modes the acceleration is that of the mass alone."""
+        whole = np.sum(imaged * pole / (shifted + pole) * np.exp(-shifted * delay), axis=0)
+        return whole[:, None, None] * np.linalg.inv(mass)
 
     def linear(pole, delay):
         """(M s² + C s + K) H = 1, with H = P2 / (s² through), solved for the entries of M, C and K."""
@@ -134,6 +147,8 @@ def _problem(f, seen, sample_rate):
     def misfit(entries, pole, delay):
         mass, damping, stiffness = (_symmetric(each, axes) for each in np.split(entries, 3))
         model = s * s * np.linalg.inv(s * s * mass + s * damping + stiffness) * through(pole, delay)
+        if folds:
+            model = model + folded(mass, pole, delay)
         off = ((model - seen) / size[:, None, None]).ravel() / axes
         return np.concatenate([off.real, off.imag])
 
