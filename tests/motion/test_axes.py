@@ -2,6 +2,7 @@
 
 import ctypes
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from stillwork.base.checks import InputError
 from stillwork.identification.machine_files import load_machine
 from stillwork.machine import retest
 from stillwork.machine.axes import _first_fitted, read_axes
+from stillwork.machine.axes_loops import AxesLoops
 from stillwork.machine.axes_modes import fit_matrix
 from stillwork.machine.decoupled import Axes, decouplings
 from stillwork.machine.design import design_file
@@ -356,6 +358,21 @@ def test_another_order_or_sign_shows_at_the_lowest_lines(seed):
         assert "another order or sign" in found(*changed)
 
 
+def test_what_one_axis_makes_of_another_is_the_closed_form_of_two():
+    """S_jk = -L_jk / det(I + L), the largest over lines and places."""
+    rng = np.random.default_rng(7)
+    gains = [rng.standard_normal((9, 2, 2)) + 1j * rng.standard_normal((9, 2, 2)) for _ in range(3)]
+    closed = SimpleNamespace(loops=[None, None], gains=lambda places: [gains[k] for k in places])
+    for places in ([0], [0, 1, 2]):
+        found, sizes = AxesLoops.crossed(closed, places), []
+        for k in places:
+            (a, b), (c, d) = np.moveaxis(gains[k], 0, -1)
+            sizes.append(
+                np.abs(np.array([[1 + d, -b], [-c, 1 + a]]) / ((1 + a) * (1 + d) - b * c)).max(axis=-1)
+            )
+        assert found == pytest.approx(np.max(sizes, axis=0))
+
+
 @pytest.mark.slow
 def test_a_diagonal_matrix_has_the_designs_of_its_entries(tmp_path, untuned):
     seen = accelerance(*machine(2, 5))
@@ -383,6 +400,8 @@ void run(long samples, const double *error, double *out)
 """
     (folder / "driver.c").write_text(driver)
     assert "   error[] in m: 1, 2\n   out[] in N: 1, 2\n*/" in (folder / "controller.h").read_text()
+    page = (folder / "report.html").read_text()
+    assert "Largest |S_jk|" in page and "in the middle of the box only; not promised" in page
     sources = ["controller.c", "axis-1/controller_1.c", "axis-2/controller_2.c"]
     call(["g++", "-std=c++17", "-x", "c++", *STRICT, "-fsyntax-only", sources[0]], folder)
     call(

@@ -298,6 +298,8 @@ class AchievableBandwidth:
             name = SHOWN.get(stop.function, stop.function)
             if name == NOISE:
                 row["stopped by"] = f"{name}: more is not allowed"
+            elif name == "the end of the search":
+                row["stopped by"] = f"{name}: its design parameter is {in_hertz(stop.design_hz)} Hz"
             else:
                 row["stopped by"] = f"{name}{place} at {in_hertz(stop.peak.omega / (2 * np.pi), 0)} Hz{where}"
             row["feasible"] = f"{stop.lowest_hz:.3g} to {stop.design_hz:.3g} Hz"

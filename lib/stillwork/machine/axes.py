@@ -431,7 +431,7 @@ def _page(
     head = ["axis", "units", "mass", "use", "bandwidth (Hz)", "|S_kk| (dB)", "in the box (dB)"]
     inner = interaction(axes.of(matrix.accelerance))
     facts = [
-        ["largest singular value of S_O at the sensors, S_I at the actuators",
+        ["largest singular value of S_O at the sensors, S_I at the actuators, in the middle of the box only; not promised",
          ", ".join(f"{name} {20 * np.log10(size):.2f} dB" for name, size in sigma.items())],
         ["distance of the characteristic loci from -1", f"{judged.distance:.3f}"],
         ["largest Perron root of |E| |T|", f"{judged.bound.max():.3g}: {_proof(judged)}"],
@@ -446,12 +446,29 @@ def _page(
             ["low end", f"{kind} is a real matrix up to {low.end_hz:.4g} Hz within {100 * low.misfit:.2g} %, condition "
              f"{low.condition:.3g} with all units scaled away"]
         )  # fmt: skip
+    names = list(wanted.names)
+    crossed = list(
+        zip(
+            task.closed.crossed(task.closed.places()[:1]),
+            task.closed.crossed(task.closed.places()),
+            strict=True,
+        )
+    )
+    crossing = [
+        [name, *(f"{here:.3g} ({most:.3g})" for here, most in zip(*pair, strict=True))]
+        for name, pair in zip(names, crossed, strict=True)
+    ]
     tables = [
         ("T_y, rows: axes", axes.sensing, matrix.outputs, wanted.names),
         ("T_u, columns: axes", axes.actuation, wanted.names, matrix.inputs),
     ]
     body = "".join(f"<p>{html.escape(one_line(line))}</p>\n" for line in answer)
     body += table(head, rows) + table([], facts)
+    if len(names) > 1:
+        body += (
+            "<p>Largest |S_jk| as factors, in the middle (in brackets: at all places of the box): error of the row's axis over the "
+            "setpoint of the column's, each in its own unit. Beside the diagonal nothing is promised.</p>"
+        ) + table(["", *names], crossing)
     body += "<h2>The decoupling</h2>\n" + "".join(
         f"<p>{words}</p>" + table(["", *columns], [[n, *(f"{x:.5g}" for x in row)] for n, row in zip(side, values, strict=True)])
         for words, values, columns, side in tables

@@ -199,6 +199,11 @@ class AxesLoops(NamedTuple):
         loops = {"S_O": plant @ whole, "S_I": whole @ plant}
         return {name: np.linalg.inv(np.eye(each.shape[1]) + each) for name, each in loops.items()}
 
+    def crossed(self, places) -> np.ndarray:
+        """Largest |S_jk| at places of the box: the error of axis j over the setpoint of axis k, all axes closed."""
+        one = np.eye(len(self.loops))
+        return np.max([np.abs(np.linalg.inv(one + gain)).max(axis=0) for gain in self.gains(places)], axis=0)
+
     def stability(self, judged: Judged) -> str:
         """In words."""
         if judged.stable:

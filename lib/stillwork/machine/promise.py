@@ -65,14 +65,17 @@ def breaking_hz(made: Designed, use: str) -> float:
 
 def beyond(made: Designed) -> str:
     """What the promise is without, where the model is that of a measured band, and how far to measure."""
+    still = ""
+    if suspension := float(made.machine.sensors[0].frequencies[0]) / (2 * np.pi):
+        still = f"not for another suspension than that at {suspension:.4g} Hz, which is not moved in the box"
     if made.machine.fit is None:
-        return ""
+        return still
     hertz = breaking_hz(made, made.ranking[0])
     like = "as large and as lightly damped as any in it"
     if not len(made.machine.resonances_hz):
         like = f"as large as the rigid body and damped by {100 * UNSEEN_DAMPING:g} %"
     further = f"; one {like} could break it up to {hertz:.4g} Hz: measure to there" if hertz else ""
-    return f"not for modes above the measured band, which ends at {made.machine.fit.omega[-1] / (2 * np.pi):.4g} Hz{further}"
+    return f"not for modes above the measured band, which ends at {made.machine.fit.omega[-1] / (2 * np.pi):.4g} Hz{further}{still and '; '}{still}"
 
 
 def over_the_phases(
