@@ -106,9 +106,7 @@ def rig_trial(rng: np.random.Generator, settings: RigSettings) -> dict[str, np.n
 # The rig's tables over geometries, and an explorer of one geometry (notebook 25).
 
 
-def paint_over_geometries(
-    values: Mapping[str, np.ndarray], marks: Mapping[str, Sequence[float]], quantity: str
-):
+def paint_over_geometries(values: Mapping[str, np.ndarray], marks: Mapping[str, np.ndarray], quantity: str):
     """Spread over geometries of a quantity in three directions (NaN: none), one panel each, with the published values."""
     figure, axes = figures.new(1, 3, height=2.9, sharey=True)
     for k, axis in enumerate(axes):

@@ -2,9 +2,13 @@
 
 from collections import Counter
 
+import pytest
+
 from workbook.claims import Claim, Entry, Tolerance
 from workbook.report import (
     column,
+    ledger_text,
+    our_quantity,
     summary,
     tally,
 )
@@ -14,6 +18,21 @@ def claim(name="motion.gain", ours=2.0, kind="value", **fields):
     tolerance = Tolerance("printed digits", relative=0.01) if kind in ("value", "check") else None
     fields = {"published": 2.0, "unit": "Hz", "tolerance": tolerance, **fields}
     return Claim(Entry(name, "Table 1", "gain", kind=kind, **fields), ours)
+
+
+@pytest.mark.parametrize(
+    ("ours", "text", "cases"),
+    [
+        (1.0, "1", "always"),
+        (0.99982199, "0.9998", "in 99.98 % of cases"),
+        (0.9999999, "0.9999999", "in 99.99999 % of cases"),
+        (0.96, "0.96", "in 96 % of cases"),
+        (0.0, "0", "never"),
+    ],
+)
+def test_nearly_all_runs_are_not_shown_as_all(ours, text, cases):
+    found = claim(ours=ours, kind="ordering", published=1.0)
+    assert (found.shown(3), our_quantity(found)) == (text, cases)
 
 
 # One claim for each way to be counted: what it is counted as, its value, its entry.
@@ -53,3 +72,13 @@ def test_the_summary_counts_only_the_work_s_numbers_as_such():
     of = Counter(name for name, *_ in COUNTED)
     assert found[0] == {"numbers": 7, **{name: of[name] for name in list(of)[:4]}}
     assert found[1] == {"others": 5, **{name: of[name] for name in list(of)[4:]}}
+
+
+def test_a_verdict_is_shown_with_what_keeps_it_from_being_evidence():
+    judged = [claim(), claim(basis="fitted"), claim(ours=3.0, basis="calibrated", counterfactual=True)]
+    assert [each.judgement for each in judged] == [
+        "replicated (inside, predicted)",
+        "replicated (inside, fitted)",
+        "not replicated (outside, calibrated, counterfactual)",
+    ]
+    assert "replicated (inside, fitted)" in ledger_text(judged, 200)

@@ -442,10 +442,19 @@ def one_response(
         return _plain(one) * x + 1j * _plain(other) * y, [taken, also]
     if not one.decibels and np.any(x < 0):
         raise InputError(
-            f"{names[0]} falls to {np.nanmin(x):.4g}, and no linear magnitude is negative; name it {names[0]} (dB) if it is in dB"
+            f"{names[0]} falls to {np.nanmin(x):.4g}, and no linear magnitude is negative; "
+            f"name it {_in_decibels(names[0])} if it is in dB"
         )
     size = one.reference * 10 ** (x / 20) if one.decibels else x
     return _plain(one) * size * np.exp(1j * other.factor * y), [taken, also]
+
+
+def _in_decibels(name: str) -> str:
+    """A magnitude's name as it would be in dB: re 1 of the unit of a response, where it has one."""
+    unit = heading(name).unit
+    if "/" in unit:
+        return name.replace(unit, f"dB re 1 {unit}")
+    return f"{name.partition('(')[0].strip()} (dB)"
 
 
 def _plain(unit: Unit) -> float:

@@ -162,8 +162,17 @@ def isolate_file(
         variance=variance,
         spread=spread,
     )
-    how = {"limit": limit, "variance": variance, "spread": spread, "correction": correction}
-    made = _made(design, around, spectra, name, precision, **how)
+    made = _made(
+        design,
+        around,
+        spectra,
+        name,
+        precision,
+        limit=limit,
+        variance=variance,
+        spread=spread,
+        correction=correction,
+    )
     if filtered:  # what the design takes off the readings is not in them
         made = made.of_filtered_readings(limit, name, precision)
     about = _about(machine, made, spectra) | {"anti_alias": filtered}
@@ -589,7 +598,7 @@ def _mechanics_of(whole: Table, own: Table, measured, rate: float, filtered: boo
                 "give one of the three"
             )
         return suspended(whole)
-    fitted = _fitted(*measured, rate, filtered, notes)
+    fitted = _fitted(measured, rate, filtered, notes)
     return {
         **{name: getattr(fitted, name) for name in ("mass", "damping", "stiffness")},
         "actuator_pole_hz": fitted.actuator_pole / (2 * np.pi),
@@ -597,8 +606,11 @@ def _mechanics_of(whole: Table, own: Table, measured, rate: float, filtered: boo
     }
 
 
-def _fitted(f: np.ndarray, seen: np.ndarray, rate: float, filtered: bool, notes: list[str]) -> PathFit:
-    """The mechanics fitted to a measured response; the relative error is noted."""
+def _fitted(
+    measured: tuple[np.ndarray, np.ndarray], rate: float, filtered: bool, notes: list[str]
+) -> PathFit:
+    """The mechanics fitted to a measured response (lines in Hz, their values); the relative error is noted."""
+    f, seen = measured
     fitted = fit_path(f, seen, rate, folds=not filtered)
     notes.append(f"mechanics fitted to {len(f)} lines, error {100 * fitted.residual:.2g} % of the response")
     return fitted
