@@ -546,7 +546,7 @@ def read_isolator(file: str, rate: float):
     path = Path(file)
     if path.suffix.lower() != ".toml":
         f, seen, notes = read_response(path)
-        fitted = _fitted(f, seen, rate, True, notes)
+        fitted = _fitted((f, seen), rate, True, notes)
         notes.append(
             f"one floor sensor for each axis, sensor noise {QUIET:g} m/s^2/sqrt(Hz); to change this give a TOML file"
         )
