@@ -34,7 +34,15 @@ from stillwork.machine import replay as replay_module
 from stillwork.machine.c_code import FADE, isolation_code
 from stillwork.machine.inspect import inspect_file
 from stillwork.machine.isolate import _kept_often, isolate_file, unmodelled
-from stillwork.machine.isolation import POWERS, FeedforwardLoop, Isolator, Mismatch, encirclements, path_angle
+from stillwork.machine.isolation import (
+    POWERS,
+    FeedforwardLoop,
+    Isolator,
+    Mismatch,
+    encirclements,
+    folded_steps,
+    path_angle,
+)
 from stillwork.machine.isolation_design import (
     CUTOFFS_HZ,
     DRAWS,
@@ -251,28 +259,41 @@ def cleared(loop, platform, commands):
     return shown
 
 
-@pytest.mark.parametrize("late", [1.0, 2.0])
+@pytest.mark.parametrize("pole", [0.3, 3.0])
+@pytest.mark.parametrize("delay", [0.0, 0.2, 0.5, 1.0, 1.3, 2.7])
+def test_folded_steps_of_any_part_of_a_sample_are_those_of_a_long_ramp(pole, delay):
+    """The force of every step of the ramp by its exponential, at a sample and averaged over the samples' time about it."""
+    since = 20.0 - delay - np.arange(-400.0, 60.0)  # each step, at the sample 20
+
+    def force(time):
+        passed = np.maximum(since + time, 0.0)
+        return np.sum(-np.expm1(-pole * passed))
+
+    mean = np.mean([force(time) for time in (np.arange(4000) + 0.5) / 4000 - 0.5])
+    above, late = folded_steps(pole, delay)
+    assert above == pytest.approx(force(0.0) - mean, abs=1e-6)
+    assert late == max(1, round(delay))
+
+
+@pytest.mark.parametrize("late", [1.0, 1.5, 2.0])
 def test_what_sampling_folds_of_a_held_command_is_taken_off_the_readings(late):
     """Against the true plant between samples: a slow command's reading is that of the platform itself."""
     true = draw_isolator(np.random.default_rng(3), 2, RATE)
-    true = replace(true, late=int(late))
     own = Isolator(
         true.mass, true.damping, true.stiffness, true.floor, true.pole, late / RATE, 1e-5, 1e-5
     )  # fmt: skip
     loop = FeedforwardLoop(RATE, 0.0, 1.0, 100.0, NoiseShaping(5.0, 100.0, 3), own)
     a, b, c = true.matrices()
     count, hertz = 4000, 4.0
-    ring = [np.zeros(2)] * int(late)
-    x, seen, between = np.zeros(len(a)), [], []
+    x, between, still = np.zeros(len(a)), [], np.zeros(2 * true.floor.shape[1])
     commands = np.array([[1.0], [-0.5]]) * np.sin(2 * np.pi * hertz / RATE * np.arange(count))
-    for k in range(count):
-        ring.append(commands[:, k])
-        force = np.concatenate([ring.pop(0), np.zeros(2 * true.floor.shape[1])])
-        seen.append(c @ x)
-        for _ in range(FINE):
-            between.append(c @ x)
-            x = a @ x + b @ force
-    seen, between = np.array(seen).T, np.array(between).T
+    held = np.repeat(commands, FINE, axis=1)
+    for k in range(FINE * count):
+        begun = k - round(late * FINE)
+        between.append(c @ x)
+        x = a @ x + b @ np.concatenate([held[:, begun] * (begun >= 0), still])
+    between = np.array(between).T
+    seen = between[:, ::FINE]
 
     def line(rows, rate):  # at the command's frequency, once the start has died away
         late_half = rows[:, rows.shape[1] // 2 :]

@@ -250,6 +250,7 @@ PARTS = {
         "MovingPaths.transmissibility",
     ),  # by `try_loop` and `predict`
     *("moving_paths", "density_through", "jitter_density", "record_grid", "through"),
+    *("held_force", "folded_force"),  # by `Isolator.paths` and the search of `fit_path`
 }
 FOLDERS = ("signals", "lti", "identification", "estimation", "control", "machine")
 COMMANDS = "axes axes_loops budget budget_isolator budget_tables design desk design_page designed_loop desk_page export hardware html_page inspect isolate machine_toml noisy_peak pictures progress promise replay report retest settling waiting".split()

@@ -82,7 +82,7 @@ class WrittenIsolator(NamedTuple):
     def _folded(self, sample_time: float, delay: float) -> StateModel:
         """From the held force to what its steps fold into the frame's readings, which the C takes off."""
         above, late = folded_steps(2 * np.pi * self.pole_hz * sample_time, delay)
-        steps = self.about["clearing"] * above / self.mass * (np.eye(late + 1)[-2:-1] - np.eye(late + 1)[-1:])
+        steps = above / self.mass * (np.eye(late + 1)[-2:-1] - np.eye(late + 1)[-1:])
         return StateModel(
             np.eye(late + 1, k=-1), np.eye(late + 1)[:, :1], steps, np.zeros((1, 1)), sample_time
         )

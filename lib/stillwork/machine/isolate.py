@@ -374,7 +374,6 @@ def _record_of(design: IsolationDesign, found: IsolationPrediction) -> dict:
         "variance": design.variance,
         "smoothing_s": loop.smoothing,
         "path_delay": loop.path_delay,
-        "clearing": loop.clearing,
         "weights": design.steady.weights.tolist(),
         "judged_hz": list(found.band_hz),
         "remains": found.remains.tolist(),

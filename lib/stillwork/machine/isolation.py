@@ -33,6 +33,18 @@ ORDER, POWERS = 3, 2  # of the weak integrator, and how often it is applied
 SMOOTHING = 5.0  # time constant of the adaptation over that of the smoothing (chosen)
 
 
+def held_force(f: np.ndarray, pole: float, delay: float, sample_time: float) -> np.ndarray:
+    """From a command to the force at frequencies in Hz: hold, delay (s) and the actuator's pole (rad/s)."""
+    s = 2j * np.pi * f
+    return pole / (s + pole) * np.exp(-s * (delay + sample_time / 2)) * np.sinc(f * sample_time)
+
+
+def folded_force(f: np.ndarray, pole: float, delay: float, sample_time: float) -> np.ndarray:
+    """What sampling folds of that force to frequencies in Hz: `held_force` at multiples of the rate beside them."""
+    images = np.delete(np.arange(-IMAGES, IMAGES + 1), IMAGES)[:, None] / sample_time
+    return held_force(f + images, pole, delay, sample_time).sum(axis=0)
+
+
 @by_value
 @dataclass(frozen=True)
 class Isolator:
@@ -101,16 +113,10 @@ class Isolator:
         s = 2j * np.pi * f[:, None, None]
         suspended = s * self.damping + self.stiffness
         whole = np.linalg.inv(s * s * self.mass + suspended)
-        images = f + np.delete(np.arange(-IMAGES, IMAGES + 1), IMAGES)[:, None] / sample_time
-        held = s * s * whole * self._through(f, sample_time)[:, None, None]
-        folded = self._through(images, sample_time).sum(axis=0)[:, None, None] * np.linalg.inv(self.mass)
+        through = self.actuator_pole, self.delay, sample_time
+        held = s * s * whole * held_force(f, *through)[:, None, None]
+        folded = folded_force(f, *through)[:, None, None] * np.linalg.inv(self.mass)
         return whole @ suspended @ self.floor, held, held + folded
-
-    def _through(self, f: np.ndarray, sample_time: float) -> np.ndarray:
-        """From a command to the force: hold, delay and the actuator's pole."""
-        s = 2j * np.pi * f
-        late = np.exp(-s * (self.delay + sample_time / 2)) * np.sinc(f * sample_time)
-        return self.actuator_pole / (s + self.actuator_pole) * late
 
 
 @by_value

@@ -10,7 +10,7 @@ from scipy import optimize
 from stillwork.base.bounds import Positive, Vector
 from stillwork.base.checks import InputError, require_array
 from stillwork.base.validation import by_value, checked
-from stillwork.machine.isolation import IMAGES
+from stillwork.machine.isolation import folded_force, held_force
 
 MOST_LINES = 250  # of the refinement; more are thinned
 START_LINES = 60  # of the trial of each start
@@ -115,18 +115,9 @@ def _problem(f, seen, sample_rate, folds):
     rows, columns = np.tril_indices(axes)
     s = 2j * np.pi * f[:, None, None]
     size = np.linalg.norm(seen, axis=(1, 2)) / axes
-    hold = np.exp(-s / (2 * sample_rate)) * np.sinc(f / sample_rate)[:, None, None]
-    images = f + np.delete(np.arange(-IMAGES, IMAGES + 1), IMAGES)[:, None] * sample_rate
-    shifted = 2j * np.pi * images
-    imaged = np.exp(-shifted / (2 * sample_rate)) * np.sinc(images / sample_rate)
 
     def through(pole, delay):
-        return hold * pole / (s + pole) * np.exp(-s * delay)
-
-    def folded(mass, pole, delay):
-        """What sampling folds: far above the modes the acceleration is that of the mass alone."""
-        whole = np.sum(imaged * pole / (shifted + pole) * np.exp(-shifted * delay), axis=0)
-        return whole[:, None, None] * np.linalg.inv(mass)
+        return held_force(f, pole, delay, 1 / sample_rate)[:, None, None]
 
     def linear(pole, delay):
         """(M s² + C s + K) H = 1, with H = P2 / (s² through), solved for the entries of M, C and K."""
@@ -147,8 +138,9 @@ def _problem(f, seen, sample_rate, folds):
     def misfit(entries, pole, delay):
         mass, damping, stiffness = (_symmetric(each, axes) for each in np.split(entries, 3))
         model = s * s * np.linalg.inv(s * s * mass + s * damping + stiffness) * through(pole, delay)
-        if folds:
-            model = model + folded(mass, pole, delay)
+        if folds:  # far above the modes the acceleration is that of the mass alone
+            more = folded_force(f, pole, delay, 1 / sample_rate)
+            model = model + more[:, None, None] * np.linalg.inv(mass)
         off = ((model - seen) / size[:, None, None]).ravel() / axes
         return np.concatenate([off.real, off.imag])
 
