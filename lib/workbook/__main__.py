@@ -118,12 +118,17 @@ TARGETS = {
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m workbook",
-        description="Commands of the workbook; `make help` lists those that first set up the environment.",
+        description="Commands of a workbook; in its folder all of them are listed here.",
         allow_abbrev=False,
     )
     group = parser.add_subparsers(required=True, metavar="COMMAND")
     listed = {name: {"help": COMMANDS[name]} for name in offered()}
-    own = {name: group.add_parser(name, allow_abbrev=False, **listed.get(name, {})) for name in COMMANDS}
+    own = {
+        name: group.add_parser(
+            name, allow_abbrev=False, description=f"{text[:1].upper()}{text[1:]}.", **listed.get(name, {})
+        )
+        for name, text in COMMANDS.items()
+    }
     for name, each in own.items():
         target = TARGETS.get(name, f"workbook.commands:{name}")
         each.set_defaults(target=target, needs_root=name != "init")

@@ -114,7 +114,11 @@ def _assigned(cell: str) -> tuple[tuple[str, object], ...]:
 
 def other_settings(notebook: str, cells: Iterable[str]) -> str:
     """Which parameters of a run are not the accepted ones, ``noise 0.05 for 0.1``; empty where all are."""
-    here, accepted = run_settings(cells), accepted_settings(notebook)
+    return changed(run_settings(cells), accepted_settings(notebook))
+
+
+def changed(here: Mapping[str, object], accepted: Mapping[str, object]) -> str:
+    """Which settings are not the accepted ones, in words."""
     plain = {name: json.loads(json.dumps(here[name])) for name in accepted if name in here}
     return ", ".join(
         f"{name} {now} for {accepted[name]}" for name, now in plain.items() if now != accepted[name]
@@ -144,5 +148,8 @@ def banner(settings: str, claims: Sequence[Claim], accepted: Mapping[str, Claim]
         f"{len(left)} of {judged} numbers left their tolerance, {len(entered)} entered."
     ]
     for word, which in (("left", left), ("entered", entered)):
-        lines += [f"{word}: {claim.entry.id} ({claim.entry.quantity}): {claim.shown(4)}" for claim in which]
+        lines += [
+            f"{word}: {claim.entry.id} ({claim.entry.quantity}): {claim.shown(4)} for {accepted[claim.entry.id].shown(4)}"
+            for claim in which
+        ]
     return "\n".join(lines)

@@ -27,7 +27,6 @@ from workbook.source_digest import code_digest
 
 OWN_RESULTS = ("paper.toml", "published.toml", "choices.toml", "choices.csv")  # what is stated or came out
 NAMING = ("data", "measured_times")  # functions whose arguments are a topic and a file
-INTERACTIVE = ("workbook.headlines",)  # what no build runs
 KERNEL = ("ipykernel", "ipython")  # loaded by every kernel
 
 Facts = dict[str, Any]
@@ -100,7 +99,7 @@ def _closure(
     waiting = [*modules, *_leads_to("", _facts_of_code(sources), roots)]
     while waiting:
         name = waiting.pop()
-        if name not in found and name not in INTERACTIVE and (module := _module(name, roots)):
+        if name not in found and (module := _module(name, roots)):
             found[name] = module
             waiting += module.leads
     return found

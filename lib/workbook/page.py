@@ -10,7 +10,8 @@ from typing import Any
 
 from workbook import paths
 from workbook.checks import InputError, require_choice, require_kind, short_repr
-from workbook.claims import Claim, ClaimsTable, make_claim
+from workbook.claims import Claim, ClaimsTable, ledger, make_claim
+from workbook.conclusions import Sentence, banner, found_here, other_settings, sentence
 from workbook.figures import plotted, save, use_house_style
 
 # Letters, digits, - and _, with dots inside: a name that is a file's on every system, and no path.
@@ -38,7 +39,7 @@ class Page:
     claims: ClaimsTable = field(default_factory=ClaimsTable, init=False, repr=False)
     conclusions: list[str] = field(default_factory=list, init=False, repr=False)
     _rounding: dict[str, dict[str, str]] = field(default_factory=dict, init=False, repr=False)
-    _accepted: list[Claim] = field(default_factory=list, init=False, repr=False)
+    _accepted: dict[str, Claim] = field(default_factory=dict, init=False, repr=False)
     _handle: Any = field(default=None, init=False, repr=False)
 
     def __post_init__(self):
@@ -48,36 +49,26 @@ class Page:
                 f"notebook is {short_repr(self.notebook)}; give 'topic/name', e.g. 'topic/02-result'"
             )
         use_house_style()
-        if not paths.in_batch() and _in_jupyter():
-            self._show_summary()
 
-    def _show_summary(self) -> None:
-        """Show, or show anew, up to five claims by this run; until it has found them and its settings are the accepted ones,
-        by the accepted results.
-
-        A build shows it where its settings are others, above its first claim.
-        """
+    def _warn(self) -> None:
+        """Where the settings are not the accepted ones, show above the first claim which they are and what that moved."""
         here = shell()
-        if here is None:
+        settings = other_settings(self.notebook, here.user_ns.get("In", ())) if here is not None else ""
+        if not settings and self._handle is None:
             return
         from IPython.display import display
 
-        from workbook.conclusions import banner, other_settings
-        from workbook.headlines import claims_of, summary_of
-
-        settings = other_settings(self.notebook, here.user_ns.get("In", ()))
-        if self._handle is None and paths.in_batch() and not settings:
-            return
-        with contextlib.suppress(InputError, OSError):  # of what is not written yet there is nothing to show
-            accepted = self._accepted = self._accepted or claims_of(self.notebook)
-            self.claims.note = banner(
-                settings, self.claims.claims, {each.entry.id: each for each in accepted}
-            )
-            summary = summary_of(self.notebook, accepted, self.claims.claims, self.claims.note)
-            if self._handle is not None:
-                self._handle.update(summary)
-            elif summary.lines:
-                self._handle = display(summary, display_id=True)
+        if not self._accepted:
+            with contextlib.suppress(InputError):  # of what is not written yet
+                self._accepted = {
+                    each.entry.id: each for each in ledger(topic=self.notebook.partition("/")[0])
+                }
+        self.claims.note = banner(settings, self.claims.claims, self._accepted)
+        shown = Sentence(self.claims.note.replace("\n", "  \n"))  # line breaks of Markdown
+        if self._handle is None:
+            self._handle = display(shown, display_id=True)
+        else:
+            self._handle.update(shown)
 
     def save(
         self, name: str, figure, rounding: Mapping[str, str] | None = None, *, shown: bool = True
@@ -145,7 +136,7 @@ class Page:
         made = make_claim(claim, ours, interval, self.notebook)
         self.claims.add(made)
         self.claims.write(paths.output(self.notebook) / "claims.json")
-        self._show_summary()
+        self._warn()
 
     def conclude(
         self, text: str, otherwise: str | None = None, /, when: bool | str | Sequence[str] = True, **values
@@ -170,16 +161,12 @@ class Page:
         InputError
             When a place has no value, a value no place, or an entry was not checked in this run.
         """
-        from workbook.conclusions import Sentence
-
         _display(Sentence(self.sentence(text, otherwise, when, values)))
 
     def sentence(
         self, text: str, otherwise: str | None, when: bool | str | Sequence[str], values: Mapping[str, object]
     ) -> str:
         """The sentence that `conclude` shows, kept in `conclusions`."""
-        from workbook.conclusions import found_here, sentence
-
         named = isinstance(when, str) or (isinstance(when, Sequence) and len(when) > 0)
         holds = found_here(when, self.claims.claims) if named else bool(when)
         self.conclusions.append(sentence(text, otherwise, holds, values))
@@ -195,8 +182,6 @@ class Page:
         **options
             Of `pandas.DataFrame.to_string` and `to_html`, as ``float_format="{:.2f}".format``.
         """
-        from workbook.conclusions import Sentence
-
         for value in values:
             words = Sentence(value) if isinstance(value, str) else value
             _display(Table(value, options) if hasattr(value, "to_string") else words)
@@ -253,8 +238,3 @@ def _display(shown) -> None:
 def shell():
     """IPython, where it runs this."""
     return sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
-
-
-def _in_jupyter() -> bool:
-    """Whether a kernel of Jupyter runs this; `paths.in_batch` marks those of a build."""
-    return hasattr(shell(), "kernel")

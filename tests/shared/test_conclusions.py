@@ -65,8 +65,8 @@ def test_the_banner_counts_what_left_and_what_entered():
     lines = banner("noise 0.05 for 0.1", found, accepted).splitlines()
     assert lines == [
         "Other settings than the accepted: noise 0.05 for 0.1; 1 of 2 numbers left their tolerance, 1 entered.",
-        "left: motion.a (gain): 5",
-        "entered: motion.b (gain): 2",
+        "left: motion.a (gain): 5 for 2",
+        "entered: motion.b (gain): 2 for 3",
     ]
     assert banner("", found, accepted) == ""
 

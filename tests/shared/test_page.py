@@ -8,7 +8,6 @@ from workbook import figures
 from workbook.appendix import KIND, Appendix
 from workbook.checks import InputError
 from workbook.choices.notebook_study import run_notebook
-from workbook.headlines import summary_of
 from workbook.page import Page
 
 LEDGER = """\
@@ -159,9 +158,3 @@ def test_a_formula_that_cannot_be_set_is_named(workbook, wrong, layout):
     with pytest.raises(InputError, match=r"^figure\b") as told:
         Page("motion/01-x").save("fig-1", figure)
     assert wrong.splitlines()[-1].strip("$") in str(told.value)
-
-
-@pytest.mark.parametrize("name", ["fixedpoint/02-small-noise", "fixedpoint/05-differentiation-noise"])
-def test_a_summary_has_its_own_page_s_entries_alone(name):
-    """Though the code of the page makes the ends of ids, which fit those of other pages."""
-    assert {line.claim.notebook for line in summary_of(name).lines} == {name}

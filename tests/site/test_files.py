@@ -16,8 +16,7 @@ from workbook import paths
 from workbook.choices.axes import load_axes
 from workbook.choices.command import judged_ledger
 from workbook.choices.kept import read_settings
-from workbook.claims import DISAGREEMENT, ledger
-from workbook.headlines import headlines, said_first
+from workbook.claims import ledger
 from workbook.notebooks import select
 from workbook.publish import replace_folder
 from workbook.site.build import site_files
@@ -216,23 +215,6 @@ def test_the_search_index_leads_to_places_that_are_there(files):
             places[page] = {values.get("id") for _, values in elements(files[page]).found}
         assert title, address
         assert place in places[page], address
-
-
-def test_no_sentence_of_the_ledger_contradicts_its_mark():
-    """The headlines of all pages: what differs is worded as a negation, what agrees is not, and so is the remark."""
-    found = []
-    for topic in paths.topics():
-        pages = {}
-        for claim in judged_ledger(topic):
-            pages.setdefault(claim.notebook, []).append(claim)
-        for claims in pages.values():
-            found += [line for line in headlines(claims, said_first(topic)) if line.claim.ours is not None]
-    assert len({line.claim.notebook for line in found}) > 50
-    for line in found:
-        negated = " instead" in line.found or "Not found: " in line.found
-        assert negated == (line.claim.here in DISAGREEMENT and line.claim.entry.published is not None)
-        assert ("differs under all" in line.judged) <= (line.mark == "◆")
-        assert ("agrees under all" in line.judged) <= (line.mark == "●")
 
 
 def test_foreign_text_is_escaped(toy):

@@ -108,7 +108,8 @@ def _parser(program: str, commands: dict[str, "Command"], more: list[ModuleType]
     group = parser.add_subparsers(required=True, metavar="COMMAND")
     for name, command in commands.items():
         listed: dict[str, Any] = {"help": command.help} if command.works_here else {}
-        own = group.add_parser(name, allow_abbrev=False, **listed)
+        text = f"{command.help[:1].upper()}{command.help[1:]}."
+        own = group.add_parser(name, allow_abbrev=False, description=text, **listed)
         own.set_defaults(command=command)
         for names, how in command.options:
             own.add_argument(*names, **how)

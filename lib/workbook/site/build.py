@@ -19,7 +19,6 @@ from workbook.choices.command import judged_ledger
 from workbook.choices.kept import read_settings
 from workbook.choices.settings import ranges
 from workbook.claims import KINDS, VERDICTS, Claim
-from workbook.headlines import headlines, said_first
 from workbook.notebooks import notebook_file
 from workbook.provenance import commit, modified
 from workbook.report import (
@@ -146,7 +145,7 @@ def _front(render, claims: list[Claim], pages: list[NotebookPage], states: dict)
     return render(
         "index.html",
         "",
-        published=sum(claim.entry.published is not None for claim in claims),
+        published=sum(column(claim) in REPLICATIONS for claim in claims),
         moving=by_name[moving[0]] if moving else None,
         states=states[moving[0]] if moving else {},
     )
@@ -196,12 +195,10 @@ def _choice_pages(render, topics: list[dict]) -> dict[str, bytes]:
 
 def _notebook_files(render, page, pages, states: dict) -> dict[str, bytes]:
     """A notebook's page, the notebook itself, and its figures with their data."""
-    first_figure = next((figure.name for figure in page.figures), "")
     shown = render(
         "notebook.html",
         "../../",
         page=page,
-        heads=headlines(list(page.claims), said_first(page.topic), first_figure),
         neighbours=_neighbours(page, pages),
         states=states,
         binder=binder(f"notebooks/{page.name}.ipynb"),

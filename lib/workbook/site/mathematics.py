@@ -49,18 +49,21 @@ def equation(formula: str) -> str:
     return f'<span class="equation">{mathml(formula, block=True)}</span>'
 
 
-# The only HTML of a text that stays HTML: what hides an answer behind a click.
+# The only HTML of a text that stays HTML, besides a line break: what hides an answer behind a click.
 _FOLD = re.compile(r"<details>\n<summary>[\w ,]+</summary>|</details>")
 
 
 class _Renderer(IPythonRenderer):
-    """Other HTML in the text than `_FOLD` is shown as text; links to notebooks, guides and their code lead to the pages."""
+    """Other HTML in the text than `_FOLD` and ``<br>`` is shown as text; links to notebooks, guides and their code lead to the pages."""
 
     def __init__(self):
         super().__init__(escape=True, allow_harmful_protocols=False, anchor_link_text="#")
 
     def block_html(self, html: str) -> str:
         return html if _FOLD.fullmatch(html.strip()) else super().block_html(html)
+
+    def inline_html(self, html: str) -> str:
+        return html if html == "<br>" else super().inline_html(html)
 
     def block_mermaidjs(self, code: str) -> str:
         return self.block_code(code)  # no script draws it here, and the base class would not escape it

@@ -106,13 +106,6 @@ class PageCell:
             for each in self.outputs
         ]
 
-    @property
-    def head_and_rest(self) -> tuple[Markup, Markup]:
-        """The title with the line of its source, and what follows."""
-        found = re.match(r".*?</h1>(\s*<p><em>.*?</em>\s*</p>)?", self.html, re.DOTALL)
-        head = found[0] if found else ""
-        return Markup(head), Markup(self.html[len(head) :])
-
 
 @dataclass(frozen=True)
 class Section:

@@ -10,7 +10,6 @@ from workbook.choices.axes import load_axes
 from workbook.choices.judging import Robustness
 from workbook.choices.results import Outcomes, read_results
 from workbook.claims import DISAGREEMENT, LEAST, NOT_REPLICATED, RARELY, VERDICTS, Claim
-from workbook.headlines import over_combinations
 from workbook.report import find, our_quantity, published_quantity
 
 WIDTH, TOP = 460, 10  # of the values and dots; a page stretches the width to what it has
@@ -143,6 +142,21 @@ def _paths(x: np.ndarray, y: float | np.ndarray, kinds: np.ndarray, shown: np.nd
     for at, height, kind in zip(x[shown], np.broadcast_to(y, len(x))[shown], kinds[shown], strict=True):
         found[kind] = found.get(kind, "") + f"M{at:.1f} {height:.1f}h0"
     return found
+
+
+def over_combinations(standing: Robustness) -> str:
+    """Under how many combinations of open choices a judged entry agrees, and what decides it.
+
+    Parameters
+    ----------
+    standing : Robustness
+    """
+    tried = standing.tried
+    if standing.agree == 0:
+        return f"differs under all {tried} combinations"
+    number = f"all {tried}" if standing.agree == tried else f"{standing.agree} of {tried}"
+    decided = f", decided by {' and '.join(standing.decided_by)}" if standing.decided_by else ""
+    return f"agrees under {number} combinations{decided}"
 
 
 def status(claim: Claim) -> str:

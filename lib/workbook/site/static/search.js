@@ -12,7 +12,7 @@ globalThis.rankedPlaces = (() => {
 
   const plain = (text) => text.replace(/\bh[\s_-]?(?:infinity|inf|∞)(?!\p{L})/giu, "hinfinity");
   const parted = (text) => `${text} ${text.replace(/(?<=\p{Ll}{2})(?=\p{Lu}\p{Ll})|(?<=\p{Ll})(?=\p{Lu}{2})/gu, " ")}`;
-  const wordsOf = (text) => parted(plain(text)).toLowerCase().normalize("NFKD").match(/[\p{L}\p{N}]+/gu) ?? [];
+  const wordsOf = (text) => parted(plain(text)).toLowerCase().normalize("NFKD").match(/\d+(?:\.\d+)+|[\p{L}\p{N}]+/gu) ?? [];
   const root = (word) => (word.length > 3 && word.endsWith("s") && !word.endsWith("ss") ? word.slice(0, -1) : word);
 
   // Whether one letter too many, too few, or another, or two in the wrong order, makes one word of the other.
