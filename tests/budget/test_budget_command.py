@@ -522,8 +522,8 @@ def test_a_written_isolator_leaves_in_the_budget_what_its_c_left_on_the_record(t
         assert len(own) == 3
         found[rate] = error_budget(file.machine.network(), own, tuple(about["judged_hz"])).rms[1]
     assert found[1000.0] == pytest.approx(left[0], rel=0.15) and left[0] < 0.02 * passive
-    # At another rate Tustin's rule warps the filters otherwise: a hundredth of the passive motion at most.
-    assert abs(found[4000.0] - left[0]) < 0.01 * passive, (found, left, passive)
+    # At another rate Tustin's rule warps the filters otherwise.
+    assert abs(found[4000.0] - left[0]) < 0.0015 * passive, (found, left, passive)
     about["isolator"]["floor"] = [[1.0, 0.0]]
     (out / "isolator.json").write_text(json.dumps(about))
     with pytest.raises(InputError, match="1 axes and 2 floor sensors; a budget is along one axis"):

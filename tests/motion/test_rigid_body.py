@@ -1,11 +1,11 @@
-"""Machines that show no flexible mode: designed as rigid bodies with PID, judged by SciPy's own plant; noise is refused."""
+"""Machines that show no flexible mode: designed as rigid bodies, judged by their C around SciPy's plant; noise is refused."""
 
-import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy import signal
 
+from motion.true_machines import CompiledLoop, TrueMachine
 from stillwork.base.checks import InputError
 from stillwork.identification.machine import build_machine
 from stillwork.identification.machine_files import load_machine
@@ -14,68 +14,33 @@ from stillwork.machine.retest import retest_file
 
 RATE, MASS, LATE = 4e3, 7.0, 2e-4
 HZ = np.arange(3.0, 500.0)
-KINDS = {"free": (0.0, 0.0), "on springs": (25.0, 5.0), "rubbed": (0.0, 40.0), "above": (0.0, 0.0)}
+FREE = TrueMachine(MASS, (), (), (), delay=LATE)
+KINDS = {
+    "free": FREE,
+    "on springs": replace(FREE, springs=25.0, friction=5.0),
+    "rubbed": replace(FREE, friction=40.0),
+    # A mode beyond the band, which is the compliance in it.
+    "above": replace(FREE, hertz=(1.6 * HZ[-1],), damping=(0.01,), position=(0.2,)),
+}
 
 
-def true(kind, share=0.0, hertz=HZ, seed=0):
-    """Accelerance with noise, and numerator and denominator of the position."""
-    springs, drag = KINDS[kind]
-    over, under = [1 / MASS], [1.0, drag, (2 * np.pi * springs) ** 2]
-    if kind == "above":  # a mode beyond the band, which is the compliance in it
-        w = 2 * np.pi * 1.6 * hertz[-1]
-        mode = [1.0, 0.02 * w, w * w]
-        over, under = (
-            np.polyadd(np.polymul(over, mode), np.polymul([0.2 / MASS], under)),
-            np.polymul(under, mode),
-        )
-    s, rng = 2j * np.pi * hertz, np.random.default_rng(seed)
-    seen = s**2 * np.polyval(over, s) / np.polyval(under, s) * np.exp(-s * LATE)
-    noise = rng.standard_normal((2, len(s)))
-    return seen * (1 + share * (noise[0] + 1j * noise[1])), over, under
-
-
-def saved(folder, kind, share=0.01):
-    seen, over, under = true(kind, share)
-    np.savez(folder / "machine.npz", **{"frequency (Hz)": HZ, "h (m/s^2/N)": seen})
-    return str(folder / "machine.npz"), over, under
-
-
-def peak(over, under, space, gain=1.0):
-    """Largest magnitude of S and of a pole, by SciPy: the force held, LATE and a sample later."""
-    a, b, c, d = (np.array(space[name], dtype=float) for name in "abcd")
-    law = a + b[:, 1:] @ c, b[:, :1] + b[:, 1:] @ d[:, :1], c, d[:, :1]
-    w = np.concatenate([np.geomspace(1e-4, np.pi, 20000)])
-    z = np.exp(1j * w)
-    k = signal.freqz(*signal.ss2tf(*law), worN=w)[1] if len(a) < 3 else _response(law, z)
-    # Of the plant with its delay: what is held from LATE on, then what was before it.
-    early = signal.cont2discrete(signal.tf2ss(gain * np.array(over), under), (1 - LATE * RATE) / RATE)
-    whole = signal.cont2discrete(signal.tf2ss(gain * np.array(over), under), 1 / RATE)
-    first, all_of = early[1], whole[1]
-    after = all_of - first  # by the force of the sample before, moved on by `early`
-    plant = np.array(
-        [
-            (whole[2] @ np.linalg.solve(x * np.eye(len(whole[0])) - whole[0], first + after / x)).item()
-            for x in z
-        ]
-    )
-    return float(np.abs(1 / (1 + k * plant / z)).max())
-
-
-def _response(law, z):
-    a, b, c, d = law
-    return np.array([(c @ np.linalg.solve(x * np.eye(len(a)) - a, b) + d).item() for x in z])
+def saved(folder, machine, name="machine"):
+    """A file of its accelerance, with a hundredth of noise."""
+    noise = np.random.default_rng(0).standard_normal((2, len(HZ)))
+    seen = -((2 * np.pi * HZ) ** 2) * machine.response(HZ) * (1 + 0.01 * (noise[0] + 1j * noise[1]))
+    np.savez(folder / f"{name}.npz", **{"frequency (Hz)": HZ, "h (m/s^2/N)": seen})
+    return str(folder / f"{name}.npz")
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_mass_springs_and_friction_are_those_of_the_machine(tmp_path, kind):
-    file, *_ = saved(tmp_path, kind)
+    file, true = saved(tmp_path, KINDS[kind]), KINDS[kind]
     machine = build_machine(load_machine(file), modes_hz=[], fit_hz=(0, 0), mirrored_sensor=False, rigid=True)
-    springs, drag = KINDS[kind]
     assert not len(machine.resonances_hz) and machine.mass == pytest.approx(MASS, rel=0.02)
-    assert machine.sensors[0].frequencies == pytest.approx([2 * np.pi * springs], rel=1e-3)
+    assert machine.sensors[0].frequencies == pytest.approx([2 * np.pi * true.springs], rel=1e-3)
     assert machine.fit.delay == pytest.approx(LATE, abs=4 * machine.fit.delay_deviation)
-    if not springs:
-        assert machine.sensors[0].drag == pytest.approx(drag, rel=0.02)
+    if not true.springs:
+        assert machine.sensors[0].drag == pytest.approx(true.friction, rel=0.02)
     with pytest.raises(InputError, match=r"no resonance stands out|no flexible mode beside it"):
         build_machine(load_machine(file), modes_hz=[], fit_hz=(0, 0), mirrored_sensor=False)
 
@@ -91,17 +56,19 @@ def test_noise_is_no_rigid_body(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_true_machine_keeps_its_peak_and_a_changed_one_is_found_out(tmp_path, kind):
-    file, over, under = saved(tmp_path, kind)
+    true = KINDS[kind]
+    file = saved(tmp_path, true)
     said = design_file(file, str(tmp_path / "out"), RATE)
     assert ": PID" in said[0] and "as large as the rigid body and damped by 0.5 %" in said[1]
     held = tmp_path / "out" / "controller.json"
-    space = json.loads(held.read_text())["state_space"]
-    sizes = [20 * np.log10(peak(over, under, space, gain)) for gain in (0.95, 1.0, 1.05)]
+    loop = CompiledLoop(tmp_path / "out", RATE)
+    late = replace(true, delay=LATE + 1 / RATE)
+    sizes = [loop.peak_db(replace(late, mass=MASS / gain)) for gain in (0.95, 1.0, 1.05)]
     assert 5.0 < max(sizes) < 6.1, sizes
     page = (tmp_path / "out" / "report.html").read_text()
     assert "none up to 499 Hz" in page
     said = retest_file(str(held), file, str(tmp_path / "same.html"))
     assert "the promise holds" in said[0] and "not in the box" not in said[0]
-    np.savez(tmp_path / "other.npz", **{"frequency (Hz)": HZ, "h (m/s^2/N)": 2.6 * true(kind, 0.01)[0]})
-    said = retest_file(str(held), str(tmp_path / "other.npz"), str(tmp_path / "other.html"))
+    other = saved(tmp_path, replace(true, mass=MASS / 2.6), "other")
+    said = retest_file(str(held), other, str(tmp_path / "other.html"))
     assert "does not hold" in said[0] and "mass" in said[0]

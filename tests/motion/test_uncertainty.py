@@ -136,11 +136,11 @@ def test_a_mode_that_is_seen_folded_back_is_worst_where_it_meets_another():
     light = replace(CHAIN, damping=0.2 * CHAIN.damping)
     loop, pid = make_loop(light, sample_time=1.6e-3), PidFamily(40.0)(40.0)
     size, found = worst_place(loop, pid, "input_sensitivity", Uncertainty(frequency=[0.0, 0.0, 0.05]))
-    sizes = {
-        factor: perturbed_loop(loop, place([1.0, 1.0, factor])).peak(pid, "input_sensitivity").magnitude
+    sizes = [
+        perturbed_loop(loop, place([1.0, 1.0, factor])).peak(pid, "input_sensitivity").magnitude
         for factor in np.linspace(0.95, 1.05, 41)
-    }
-    assert min(size, max(sizes.values())) > 2 * max(sizes[0.95], sizes[1.05]) > SIX_DB
+    ]
+    assert size >= 0.98 * max(sizes) > 2 * max(sizes[0], sizes[-1]) > SIX_DB
     assert perturbed_loop(loop, found).peak(pid, "input_sensitivity").magnitude == pytest.approx(size)
 
 

@@ -38,7 +38,7 @@ void loop(long states, long samples, const double *a, const double *b, const dou
 
 @dataclass(frozen=True)
 class TrueMachine:
-    """A rigid body on friction and modes (velocity s + position) / (s^2 + 2 z w s + w^2) beside it, behind a delay."""
+    """A rigid body on springs and friction and modes (velocity s + position) / (s^2 + 2 z w s + w^2) beside it, behind a delay."""
 
     mass: float  # kg, or kg m^2
     hertz: tuple
@@ -47,10 +47,11 @@ class TrueMachine:
     velocity: tuple = ()
     friction: float = 0.0  # b/m, 1/s
     delay: float = 0.0  # s
+    springs: float = 0.0  # Hz, of the rigid body on its springs to ground
 
     def parts(self):
         """Numerator and denominator of each term."""
-        found = [([1.0], [1.0, self.friction, 0.0])]
+        found = [([1.0], [1.0, self.friction, (2 * np.pi * self.springs) ** 2])]
         moving = self.velocity or (0.0,) * len(self.hertz)
         for f, z, b0, b1 in zip(self.hertz, self.damping, self.position, moving, strict=True):
             w = 2 * np.pi * f
@@ -141,8 +142,8 @@ class CompiledLoop:
     def peak_db(self, machine):
         """Largest output sensitivity, from the error after one sample of setpoint; infinite where that does not die out."""
         a, b, c = (np.ascontiguousarray(each) for each in machine.sampled(self.rate))
-        slowest = min(z * 2 * np.pi * f for z, f in zip(machine.damping, machine.hertz, strict=True))
-        samples = int(self.rate * 30 / slowest)
+        slowest = min(np.multiply(machine.damping, machine.hertz), default=1.0)
+        samples = int(self.rate * 30 / (2 * np.pi * slowest))
         for _ in range(7):
             error = np.zeros(samples)
             self.library.loop(
