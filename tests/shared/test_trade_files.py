@@ -148,6 +148,14 @@ WRITTEN = {
     "one label.uff": universal(5, (1e3, 1e3), ACCELERANCE / 9806.65, (12, 13), unit="g"),
     "its own.uff": universal(9, (3.0, 7.0), 1e3 * ACCELERANCE, (12, 13), unit="mm/s^2/N"),
     "by kind.uff": universal(0, (0.0, 0.0), COMPLIANCE, (8, 13)),
+    "angle.csv": text("f [Hz],|H| [um/N],phi [rad]", HZ, 1e6 * np.abs(COMPLIANCE), np.angle(COMPLIANCE)),
+    "no channel.csv": lambda file: file.write_text(
+        "AWG,C1,out\nData:\nFreq(Hz),CH2 Amplitude(dB),CH2 Phase(deg),CH3 note\n"
+        + "".join(f"{x:.9g},{y:.9g},{z:.9g},--\n" for x, y, z in zip(HZ, DECIBELS, np.degrees(ANGLE), strict=True))
+    ),
+    "hertz.tdms": lambda file: tdms(
+        file, {"H": (ACCELERANCE, {"wf_increment": 1.0, "wf_start_offset": 10.0, "wf_xunit_string": "Hz"})}
+    ),
     "slashes.h5": lambda file: hdf5(file, {"frequency (Hz)": HZ, "h (m/s^2/N)": ACCELERANCE}),  # two groups for HDF5
     "waveform.tdms": lambda file: tdms(
         file, {"H": (ACCELERANCE, {"wf_increment": 1.0, "wf_start_offset": 10.0, "wf_xname": "Frequency", "wf_xunit_string": "Hz"})}
@@ -197,6 +205,19 @@ def test_one_of_several_columns_is_chosen_by_a_part_of_its_name(tmp_path):
     assert load_machine(tmp_path / "a.tdms").accelerance.response == pytest.approx(ACCELERANCE)
 
 
+def test_one_of_several_members_is_chosen_by_a_part_of_its_name(tmp_path):
+    shaped = {"shapeit_data": SHAPED["shapeit_data"] | {"C": {"frf": 2 * ACCELERANCE[:, None]}}}
+    savemat(tmp_path / "a.mat", shaped)
+    with pytest.raises(InputError, match=r"2 responses \(.*P\.frf.*\); choose one as response") as refused:
+        load_machine(tmp_path / "a.mat")
+    assert "C.frf" in str(refused.value)
+    assert load_machine(tmp_path / "a.mat", response="P.frf").accelerance.response == pytest.approx(
+        ACCELERANCE
+    )
+    with pytest.raises(InputError, match="response"):
+        load_machine(tmp_path / "a.mat", response="frf")
+
+
 def test_a_trace_in_memory_is_a_response_beside_the_measured_one(tmp_path):
     names = [
         f"Trace 1{memory}: Gain: {part}"
@@ -231,6 +252,10 @@ def test_channels_of_one_name_are_told_apart_by_their_groups(tmp_path):
 
 
 REFUSED = {
+    "commas.csv": (
+        lambda file: file.write_text("f_Hz,re,im\n" + "1,5,2,25,3,5\n" * 40),
+        "where commas are decimal marks, let semicolons",
+    ),
     "words.h5": (lambda file: hdf5(file, {"m/by": "me"}), r"m\.by \(text\)\); save arrays of numbers"),
     "words.mat": (lambda file: mat73(file, {"s": {"by": "me"}}), r"s\.by \(text\)\); save it with -v7"),
     "words.tdms": (lambda file: tdms(file, {"note": (np.array(["x"]), {})}), r"Untitled\.note \(1 of "),

@@ -403,9 +403,12 @@ def one_response(
     """The complex response of columns of one length, in the unit that these state, and what they were taken for."""
     complex_ones = [name for name in same if np.iscomplexobj(same[name])]
     if len(complex_ones) > 1 and not response:
-        raise InputError(f"it holds {len(complex_ones)} responses; choose with response={complex_ones[0]!r}")
+        raise InputError(
+            f"it holds {len(complex_ones)} responses ({', '.join(complex_ones)}); choose one as response"
+        )
     if complex_ones:
-        name = require_choice("response", response or complex_ones[0], complex_ones)
+        parted = [name for name in complex_ones if response in name]
+        name = parted[0] if len(parted) == 1 else require_choice("response", response, complex_ones)
         unit = heading(name).meaning
         if unit and (unit.decibels or unit.power):
             raise InputError(

@@ -39,7 +39,7 @@ HOLDS = {
     "time": ("time times t zeit temps tijd timestamp", ("s",), "s"),
     "rate": ("fs rate samplerate abtastrate", ("Hz",), "Hz"),
     "magnitude": ("magnitude mag amplitude ampl gain betrag modulus", (*MOVES, "1", "V", "A", "N", "N m"), ""),
-    "phase": ("phase angle winkel", ("rad",), "deg"),
+    "phase": ("phase angle winkel phi φ", ("rad",), "deg"),
     "real": ("real re realteil", (*MOVES, "1"), ""),
     "imaginary": ("imaginary imag im imaginärteil", (*MOVES, "1"), ""),
     "coherence": ("coherence coh kohärenz", ("1",), "1"),

@@ -45,7 +45,9 @@ def read_tdms(path: Path) -> dict[str, np.ndarray]:
             continue
         stated = each.properties
         if step := stated.get("wf_increment"):
-            axis = f"{stated.get('wf_xname') or 'time'} ({stated.get('wf_xunit_string') or 's'})"
+            unit = stated.get("wf_xunit_string") or "s"
+            name = stated.get("wf_xname") or ("frequency" if unit.lower().endswith("hz") else "time")
+            axis = f"{name} ({unit})"
             add_axis(path, found, axis, stated.get("wf_start_offset", 0.0) + step * np.arange(len(numbers)))
         group = re.sub(r"\W+", "_", each.group_name)
         name = each.name if named[each.name] == 1 else f"{group}.{each.name}"

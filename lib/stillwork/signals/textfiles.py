@@ -32,6 +32,8 @@ MISSING = (
     "null",
     "NULL",
     "None",
+    "-",
+    "--",
 )  # fields without a number
 X = "X_Value"  # of LabVIEW, a column of what the others stand over
 SPACES = "'\u2019\u00a0\u202f\u2009 "  # that may stand between thousands
@@ -61,6 +63,7 @@ def read_csv(path: Path) -> dict[str, np.ndarray]:
                 index_col=False,
                 skipinitialspace=True,
                 encoding=encoding,
+                na_values=MISSING[-2:],
             )
     except UnicodeError:
         raise InputError(f"{path.name} is not text in UTF-8; save it as such") from None
@@ -182,9 +185,11 @@ def _look_through(path: Path, encoding: str) -> _Text:
     if not widest:
         raise InputError(f"{path.name} holds a line of names and no rows; give rows of numbers below it")
     if names and widest > len(names):
+        cure = "give every column a name, or none, and every row as many values"
+        if separator == "," and widest == 2 * len(names):
+            cure = "where commas are decimal marks, let semicolons or tabs stand between the columns"
         raise InputError(
-            f"{path.name} is not a table: row {at} holds {pluralise(widest, 'value')} for {pluralise(len(names), 'name')}; give every "
-            "column a name, or none, and every row as many values"
+            f"{path.name} is not a table: row {at} holds {pluralise(widest, 'value')} for {pluralise(len(names), 'name')}; {cure}"
         )
     names = [name or f"column {number}" for number, name in enumerate(names or [""] * widest, 1)]
     # LabVIEW may put X beside each channel.
