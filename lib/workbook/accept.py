@@ -1,71 +1,58 @@
 """Copies a build into the tree: figures and claims, outputs into the notebooks, and what follows from them.
 
 What agrees with the committed results keeps its committed bytes, so an accept that moves nothing changes nothing.
-Concurrent changes in the tree are kept: accepting writes only its own changes, and nothing
-where that is no longer what it read (`workbook.publish.replace_all`).
+`git restore` takes an accept back.
 """
 
-import contextlib
 import json
-import os
-import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from workbook import paths
 from workbook.claims import DISAGREEMENT, Claim, claims_text, ledger, load_entries
 from workbook.compare import Comparison, compare, found_claims, same_outputs
-from workbook.lock import exclusive_lock, interrupts, unwound
-from workbook.notebooks import cleaned, notebook_text, select, with_pictures
+from workbook.lock import exclusive_lock, interrupts
+from workbook.notebooks import cleaned, notebook_file, notebook_text, with_pictures
 from workbook.provenance import commit, is_traceable, with_commit
-from workbook.publish import RECORD, Edited, content_of, read_record, replace_all, replace_file, seconds_taken
+from workbook.publish import RECORD, content_of, read_record, replace_file, seconds_taken
 from workbook.tasks import DURATIONS, Task, durations, tasks, updated_durations
 
-FOLDERS = ("notebooks", "data", "figures")  # what accepting reads; it writes to the first and the last
 OWN = (".png", ".csv", ".json")  # what builds write there; anything else is not theirs
 
 
-def accept(refresh: Callable[[], object]) -> int:
+def accept(refresh: Callable[[], list[str]]) -> int:
     """Accept the published-settings build of the whole workbook, or nothing of it.
 
     Parameters
     ----------
     refresh : callable
-        Rewrites what follows from ledger and notebooks.
+        Rewrites what follows from ledger and notebooks; returns the names of the files.
 
     Returns
     -------
     int
-        1 when the build is missing or stale, or the results cannot be written, or were edited meanwhile; 128 + signal
-        when a signal came while they were put in their places.
+        1 when the build is missing or stale, or the results cannot be written; 128 + signal when a signal came while
+        they were put in their places, which it does not cut short.
     """
-    with unwound(), exclusive_lock():
+    with exclusive_lock():
+        built = tasks()
+        if stale := [(task, reasons) for task in built if (reasons := task.reasons())]:
+            for task, reasons in stale:
+                print(f"stale: {task.label}: {'; '.join(reasons[:3])}")
+            print("nothing accepted; run `make figures` first")
+            return 1
+        compared = [(task, compare(task)) for task in built]
         try:
-            with committed_copy() as (copy, before):
-                built = _built(copy)
-                stale = [(task, reasons) for task in built if (reasons := task.reasons())]
-                if stale:
-                    for task, reasons in stale:
-                        print(f"stale: {task.label}: {'; '.join(reasons[:3])}")
-                    print("nothing accepted; run `make figures` first")
-                    return 1
-                compared = [(task, compare(task)) for task in built]
-                for task, comparison in compared:
-                    _take_over(task, comparison, copy)
-                _note_durations(built, copy)
-                with paths.rooted(copy):
-                    claims = ledger()
-                    refresh()
-                after = _committed(copy)
             with interrupts() as caught:
-                names = _differing(before, after)
-                replace_all(paths.root(), {name: (before.get(name), after.get(name)) for name in names})
-        except (OSError, Edited) as error:
-            print(f"nothing accepted: {error}")
+                names = [name for each in compared for name in _take_over(*each)]
+                names += [*_note_durations(built), *refresh()]
+        except OSError as error:
+            print(f"accepted in part ({error}): `make accept` writes the rest, `git restore` takes it back")
             return 1
     for _, comparison in compared:
         for line in comparison.moved:
             print(f"moved: {line}")
+    claims = ledger()
     _print_summary(claims, built)
     print(f"accepted {len(built)} notebooks and {len(claims)} ledger entries: {len(names)} files changed")
     return 128 + caught[0] if caught else 0
@@ -92,65 +79,9 @@ def _print_summary(claims: list[Claim], built: list[Task]) -> None:
                 print(f"of no build, and left there: {file.relative_to(paths.root())}")
 
 
-@contextlib.contextmanager
-def committed_copy() -> Iterator[tuple[Path, dict[str, bytes]]]:
-    """A copy of what is committed, to try the whole change on, and its files as they were.
-
-    No file of it is one that stands in the tree, since an editor may write into that at any time.
-    """
-    root, copy = paths.root(), paths.root() / "build" / "accepting"
-    before = _committed(root)
-    shutil.rmtree(copy, ignore_errors=True)  # of one that was killed
-    try:
-        for name, content in before.items():
-            (copy / name).parent.mkdir(parents=True, exist_ok=True)
-            (copy / name).write_bytes(content)
-        yield copy, before
-    finally:
-        shutil.rmtree(copy, ignore_errors=True)
-
-
-def _differing(one: dict[str, bytes], other: dict[str, bytes]) -> list[str]:
-    return sorted(name for name in one | other if one.get(name) != other.get(name))
-
-
-def _committed(folder: Path) -> dict[str, bytes]:
-    """Files of these folders and beside them, by path below `folder`."""
-    files, seen = list(folder.iterdir()), set()
-    for top in FOLDERS:
-        for place, below, names in os.walk(folder / top, onerror=_unless_gone, followlinks=True):
-            files += [Path(place, name) for name in names]
-            if (real := os.path.realpath(place)) in seen:  # a link that leads back
-                below.clear()
-            seen.add(real)
-    found = {}
-    for file in files:
-        if not file.is_file():  # but a pipe, a socket, a link to nowhere
-            continue
-        with contextlib.suppress(FileNotFoundError):  # an editor's own, gone since
-            found[file.relative_to(folder).as_posix()] = file.read_bytes()
-    return found
-
-
-def _unless_gone(error: OSError) -> None:
-    """The content of a folder that cannot be listed is unknown."""
-    if not isinstance(error, FileNotFoundError):
-        raise error
-
-
-def _built(copy: Path) -> list[Task]:
-    """The tasks of the notebooks that are in the copy, all of them."""
-    built = tasks()
-    with paths.rooted(copy):
-        others = {each.name for each in select()} ^ {task.notebook.name for task in built}
-    if others:
-        raise Edited([f"notebooks/{name}.ipynb" for name in sorted(others)])
-    return built
-
-
-def _take_over(task: Task, comparison: Comparison, copy: Path) -> None:
-    """Put what does not agree of one notebook's results into the copy."""
-    home = copy / "figures" / task.notebook.name
+def _take_over(task: Task, comparison: Comparison) -> Iterator[Path]:
+    """Put what does not agree of one notebook's results into the tree; gives the files that changed."""
+    home = task.committed
     before = {file.relative_to(home).as_posix() for file in home.rglob("*") if file.is_file()}
     now = {file.relative_to(task.target).as_posix() for file in task.target.rglob("*") if file.is_file()}
     now -= {RECORD, task.executed.name}
@@ -173,17 +104,24 @@ def _take_over(task: Task, comparison: Comparison, copy: Path) -> None:
     if taken or now - before or _made_under(old) != _made_under(new) or _is_first_traceable(old, new):
         taken |= (now - before) | {"provenance.json"}
     for name in taken:
-        replace_file(home / name, content[name])
+        yield from _put(home / name, content[name])
     for name in before - now:
         if name.endswith(OWN):
             (home / name).unlink()
-    _take_over_outputs(task, copy / "notebooks" / f"{task.notebook.name}.ipynb", home)
+            yield home / name
+    yield from _take_over_outputs(task, home)
 
 
-def _note_durations(built: list[Task], copy: Path) -> None:
+def _put(file: Path, content: bytes) -> Iterator[Path]:
+    if content_of(file) != content:
+        replace_file(file, content)
+        yield file
+
+
+def _note_durations(built: list[Task]) -> Iterator[Path]:
     noted = updated_durations(durations(), {task.notebook.name: seconds_taken(task.target) for task in built})
     if noted != durations():
-        replace_file(copy / DURATIONS, (json.dumps(noted, indent=1) + "\n").encode())
+        yield from _put(paths.root() / DURATIONS, (json.dumps(noted, indent=1) + "\n").encode())
 
 
 def _provenance(content: bytes | None) -> dict:
@@ -208,7 +146,8 @@ def _claims_kept(task: Task, committed: Path, comparison: Comparison) -> bytes:
     ).encode()
 
 
-def _take_over_outputs(task: Task, file: Path, home: Path) -> None:
+def _take_over_outputs(task: Task, home: Path) -> Iterator[Path]:
+    file = notebook_file(task.notebook.name)
     notebook = json.loads(file.read_text(encoding="utf-8"))
     executed = cleaned(notebook, json.loads(task.executed.read_text(encoding="utf-8")))
     for cell, before in zip(executed["cells"], notebook["cells"], strict=True):
@@ -219,6 +158,4 @@ def _take_over_outputs(task: Task, file: Path, home: Path) -> None:
         for name, entry in load_entries(task.notebook.topic).items()
         if entry.is_replication
     }
-    executed = with_pictures(executed, home, published)
-    if (text := notebook_text(executed)) != file.read_text(encoding="utf-8"):
-        replace_file(file, text.encode())
+    yield from _put(file, notebook_text(with_pictures(executed, home, published)).encode())

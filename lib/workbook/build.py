@@ -9,7 +9,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 
 from workbook import paths
 from workbook.dependencies import look_again
-from workbook.execution import Failure, Job, Outcome, execute, sweep
+from workbook.execution import Failure, Job, Outcome, execute
 from workbook.inputs import changes, claimed_inputs, ledger_inputs, notebook_inputs
 from workbook.kernels import stop, warmed
 from workbook.lock import exclusive_lock, interrupts
@@ -64,7 +64,6 @@ def build_figures(
             if settings:
                 _print_summary(wanted)
             return 0
-        sweep()
         warm = len(stale) >= WARM_FROM
         workers = _cluster(scheduler) if scheduler else _threads(jobs or cores(), warm)
         with workers as (submit, halt):

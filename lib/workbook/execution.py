@@ -5,14 +5,11 @@ worker of a cluster. The caller publishes the results.
 """
 
 import contextlib
-import fcntl
 import json
 import logging
-import os
 import platform
 import re
 import shutil
-import stat
 import tempfile
 import time
 from collections.abc import Callable
@@ -23,8 +20,6 @@ from pathlib import Path
 from workbook import paths
 from workbook.checks import one_line
 from workbook.kernels import kernel_manager
-
-PREFIX, LOCK = "stillwork-", "lock"
 
 
 @dataclass(frozen=True)
@@ -96,37 +91,16 @@ def execute(job: Job, on_cell: Callable[[], object] = lambda: None, forks: bool 
 
 @contextlib.contextmanager
 def _folder():
-    """A folder for one kernel and what it writes, locked as long as this process lives."""
-    folder = Path(tempfile.mkdtemp(prefix=PREFIX))
+    """A folder for one kernel and what it writes."""
+    folder = Path(tempfile.mkdtemp(prefix="stillwork-"))
     try:
-        with (folder / LOCK).open("w") as lock:
-            fcntl.flock(lock, fcntl.LOCK_EX)
-            yield folder
+        yield folder
     finally:
         for pause in (0.0, 0.05, 0.2, 1.0):  # a kernel that was killed may just be writing its last file
             time.sleep(pause)
             shutil.rmtree(folder, ignore_errors=True)
             if not folder.exists():
                 break
-
-
-def sweep() -> None:
-    """Remove the folders of runners that were killed; one that has just been made may not be locked yet.
-
-    Only folders to which this user alone has access are opened: the place is shared, and others may put links and FIFOs there.
-    """
-    for folder in Path(tempfile.gettempdir()).glob(f"{PREFIX}*"):
-        with contextlib.suppress(OSError):  # in use, or gone meanwhile
-            about = folder.lstat()
-            if (
-                about.st_uid == os.getuid()
-                and stat.S_ISDIR(about.st_mode)
-                and not about.st_mode & 0o077
-                and time.time() - about.st_mtime > 60
-            ):
-                with (folder / LOCK).open() as lock:
-                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                    shutil.rmtree(folder, ignore_errors=True)
 
 
 def _execute(job: Job, folder: Path, on_cell: Callable[[], object], forks: bool) -> Outcome:

@@ -3,7 +3,7 @@
 import contextlib
 import fcntl
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 from workbook import paths
 from workbook.checks import InputError
@@ -43,34 +43,21 @@ def held(name: str, refusal: str) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def unwound() -> Iterator[None]:
-    """Turn a signal to terminate into an exception, so that temporary files are removed."""
-
-    def leave(number: int, _frame) -> None:
-        raise SystemExit(128 + number)
-
-    with _handled(leave, signal.SIGTERM, signal.SIGHUP):
-        yield
-
-
-@contextlib.contextmanager
 def interrupts() -> Iterator[list[int]]:
-    """Note an interrupt instead of raising it, so that it tears nothing halfway; yields what came."""
-    caught: list[int] = []
-    with _handled(lambda number, _frame: caught.append(number), signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        yield caught
+    """Note an interrupt instead of raising it, so that it tears nothing halfway; yields what came.
 
-
-@contextlib.contextmanager
-def _handled(handler: Callable, *numbers: signal.Signals) -> Iterator[None]:
-    """Let `handler` take these signals for a while, apart from those that the process was started to ignore.
-
-    `nohup` ignores the end of a session so, and a shell the interrupts of its background jobs.
+    Signals stay ignored that the process was started to ignore: `nohup` ignores the end of a session so, and a shell the
+    interrupts of its background jobs.
     """
-    handled = [number for number in numbers if signal.getsignal(number) != signal.SIG_IGN]
-    before = {each: signal.signal(each, handler) for each in handled}
+    caught: list[int] = []
+    handled = [
+        number
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+        if signal.getsignal(number) != signal.SIG_IGN
+    ]
+    before = {each: signal.signal(each, lambda number, _frame: caught.append(number)) for each in handled}
     try:
-        yield
+        yield caught
     finally:
         for each, usual in before.items():
             signal.signal(each, usual)

@@ -2,6 +2,7 @@
 
 import ast
 import math
+import re
 import typing
 import warnings
 from dataclasses import dataclass
@@ -74,23 +75,13 @@ def read_parameters(file: str, source: str) -> dict[str, Parameter]:
 
 def _type(annotation: str):
     """The type that an annotation of plain types spells; ValueError for any other."""
-
-    def build(node):
-        match node:
-            case ast.Name(id=name) if name in TYPES:
-                return TYPES[name]
-            case ast.Constant(value=None):
-                return None
-            case ast.Constant(value=value) if value is ...:
-                return ...
-            case ast.BinOp(op=ast.BitOr(), left=left, right=right):
-                return build(left) | build(right)
-            case ast.Subscript(value=ast.Name(id=("list" | "tuple") as name), slice=inner):
-                parts = inner.elts if isinstance(inner, ast.Tuple) else [inner]
-                return TYPES[name][tuple(build(part) for part in parts)]
+    plain = re.sub(r"\bNone\b", "", annotation)
+    if set(re.findall(r"[^\W\d]\w*", plain)) - set(TYPES):
         raise ValueError(annotation)
-
-    return build(ast.parse(annotation, mode="eval").body)
+    try:
+        return eval(annotation, {"__builtins__": {}}, TYPES)
+    except (SyntaxError, TypeError):
+        raise ValueError(annotation) from None
 
 
 def _converted(value, kind):

@@ -8,16 +8,14 @@ from matplotlib import rc_context
 from matplotlib.backends.backend_agg import RendererAgg
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-TEXTS = 512  # that are remembered, a few kilobytes each
-
 
 class Redraw:
     """Pictures of one drawing function, quick from the second on.
 
     Most of a picture's time goes into its layout, its ticks and its texts, which `savefig` makes anew: 100 to 200 ms
-    for the explorers here. So the panels stay where they were laid out first, titles at the panels' edge, a logarithmic
-    axis shows its decades alone, and one renderer that remembers the glyphs of texts serves all pictures. A drawing
-    function that keeps its figure and sets the data of what moves spares a third of the rest, its ticks and legends.
+    for the explorers here. So the panels stay where they were laid out first, titles at the panels' edge, and a logarithmic
+    axis shows its decades alone. A drawing function that keeps its figure and sets the data of what moves spares a third of
+    the rest, its ticks and legends.
 
     Parameters
     ----------
@@ -59,7 +57,7 @@ class Redraw:
             axes.minorticks_off()
         size = figure.bbox.size
         if self._renderer is None or (self._renderer.width, self._renderer.height) != tuple(size):
-            self._renderer = RememberingRenderer(*size, figure.dpi)
+            self._renderer = RendererAgg(*size, figure.dpi)
         self._renderer.clear()
         figure.draw(self._renderer)
 
@@ -75,46 +73,3 @@ class Redraw:
         buffer = io.BytesIO()
         Image.fromarray(np.asarray(self._renderer.buffer_rgba())).save(buffer, "png", compress_level=1)
         return buffer.getvalue()
-
-
-class RememberingRenderer(RendererAgg):
-    """A renderer that makes the glyphs of a text in one place once: that takes longer than to put them there."""
-
-    def __init__(self, width: float, height: float, dpi: float):
-        super().__init__(width, height, dpi)
-        self._texts = {}
-
-    def draw_text(self, gc, x, y, s, prop, angle, ismath=False, mtext=None):
-        # matplotlib 3.11's words for a font, which 3.10 lacks
-        words = [getattr(mtext, name, tuple)() for name in ("get_fontfeatures", "get_language")]
-        text = (x, y, s, hash(prop), *words, angle, ismath, gc.get_antialiased())
-        if (glyphs := self._texts.get(text)) is not None:
-            for glyph in glyphs:
-                self._renderer.draw_text_image(*glyph, gc)
-            return
-        kernel, self._renderer = self._renderer, _Noting(self._renderer)
-        try:
-            super().draw_text(gc, x, y, s, prop, angle, ismath, mtext)
-            glyphs = self._renderer.glyphs
-        finally:
-            self._renderer = kernel
-        if glyphs is not None:
-            if len(self._texts) == TEXTS:
-                self._texts.clear()
-            self._texts[text] = glyphs
-
-
-class _Noting:
-    """Agg, and the glyphs that it has drawn; None with the bar of a fraction or a root among them."""
-
-    def __init__(self, kernel):
-        self._kernel, self.glyphs = kernel, []
-
-    def draw_text_image(self, pixels, x, y, angle, gc):
-        self._kernel.draw_text_image(pixels, x, y, angle, gc)
-        if self.glyphs is not None:
-            self.glyphs.append((pixels, x, y, angle))
-
-    def draw_path(self, *arguments):
-        self._kernel.draw_path(*arguments)
-        self.glyphs = None

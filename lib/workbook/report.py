@@ -8,7 +8,7 @@ from collections.abc import Iterable
 
 from workbook import paths
 from workbook.checks import InputError, nearest
-from workbook.claims import AGREEMENT, DISAGREEMENT, NOT_REPLICATED, VERDICT_WORDS, Claim
+from workbook.claims import DISAGREEMENT, NOT_REPLICATED, VERDICT_WORDS, Claim
 
 FITTED = "fitted or calibrated"
 BASIS = {"predicted": "predicted", "fitted": FITTED, "calibrated": FITTED}
@@ -21,6 +21,7 @@ REPLICATIONS = (
 APART = ("no number published", "checks passed", "checks failed", "counterfactual", "not built")
 GAP = "  "
 NARROWEST = 8  # characters to which a column may shrink
+PLACE = 44  # characters of a place in the table of all
 
 
 def published_quantity(claim: Claim) -> str:
@@ -111,7 +112,7 @@ def _length(widths: list[int]) -> int:
 
 
 def ledger_text(claims: list[Claim], width: int) -> str:
-    """Table of all claims, the reasons of those that do not agree, and the counts.
+    """Table of all claims, and the counts.
 
     Parameters
     ----------
@@ -119,20 +120,12 @@ def ledger_text(claims: list[Claim], width: int) -> str:
     width : int
         Characters in a line.
     """
-    rows = [("claim", "place", "published", "ours", "interval", "unit", "kind", "verdict")]
-    rows += [(*claim.row(4), claim.entry.kind, claim.judgement) for claim in claims]
-    reasons = [
-        paragraph(f"{claim.entry.id}: {claim.entry.reason}", width)
-        for claim in claims
-        if claim.entry.reason and claim.here not in AGREEMENT
-    ]
-    total = paragraph(tally(claims) or "no entries", width)
-    return "\n".join([*table(rows, width), *(["", *reasons] if reasons else []), "", total])
-
-
-def paragraph(text: str, width: int) -> str:
-    """`text` in lines of at most `width`, those after the first indented."""
-    return textwrap.fill(text, width, subsequent_indent=GAP, break_on_hyphens=False)
+    rows = [("claim", "place", "published", "ours", "verdict")]
+    for claim in claims:
+        place = textwrap.shorten(claim.entry.place, PLACE, placeholder=" ...")
+        rows.append((claim.entry.id, place, published_quantity(claim), our_quantity(claim), claim.judgement))
+    total = textwrap.fill(tally(claims) or "no entries", width)
+    return "\n".join([*table(rows, width), "", total, "One in full, with its reason: --entry CLAIM"])
 
 
 def find(claims: list[Claim], name: str) -> Claim:
@@ -150,48 +143,33 @@ def find(claims: list[Claim], name: str) -> Claim:
 
 
 def entry_text(fields: dict, width: int) -> str:
-    """All fields of one entry, a line or paragraph each; nested ones indented under their name.
+    """All fields of one entry as YAML, without what is empty.
 
     Parameters
     ----------
     fields : dict
-        As `Claim.as_dict` gives them. What is empty is left out, and a mark that does not apply; of a joint combination an
-        option may be false, too.
+        As `Claim.as_dict` gives them.
     width : int
         Characters in a line.
     """
-    return "\n".join(_field_lines(fields, width, ""))
+    import yaml
+
+    return yaml.safe_dump(
+        _told(fields), sort_keys=False, default_flow_style=None, allow_unicode=True, width=width
+    ).rstrip()
 
 
-def _field_lines(fields: dict, width: int, indent: str) -> list[str]:
-    lines = []
-    for name, value in fields.items():
-        if value in (None, "", [], {}) or (value is False and not indent):
-            continue
-        if isinstance(value, dict):
-            lines += [f"{indent}{name}:", *_field_lines(value, width, indent + GAP)]
-        elif isinstance(value, list) and isinstance(value[0], dict):
-            lines.append(f"{indent}{name}:")
-            lines += [_field(f"{indent}{GAP}", "; ".join(_pairs(each)), width) for each in value]
-        else:
-            between = " .. " if name in ("interval", "range") else ", "
-            lines.append(_field(f"{indent}{name}: ", _shown(value, between), width))
-    return lines
-
-
-def _field(begin: str, text: str, width: int) -> str:
-    deeper = " " * (len(begin) - len(begin.lstrip())) + GAP
-    return textwrap.fill(begin + text, width, subsequent_indent=deeper, break_on_hyphens=False)
-
-
-def _pairs(fields: dict) -> list[str]:
-    return [f"{name} {_shown(value)}" for name, value in fields.items() if value is not False and value != ""]
-
-
-def _shown(value, between: str = ", ") -> str:
-    if isinstance(value, list):
-        return between.join(map(_shown, value))
-    return f"{value:.5g}" if isinstance(value, float) else str(value)
+def _told(value):
+    """`value` without empty fields, numbers to five digits."""
+    if isinstance(value, dict):
+        return {
+            name: _told(each)
+            for name, each in value.items()
+            if each is not None and each is not False and each not in ("", [], {})
+        }
+    if isinstance(value, list | tuple):
+        return [_told(each) for each in value]
+    return float(f"{value:.5g}") if isinstance(value, float) else value
 
 
 def column(claim: Claim) -> str:

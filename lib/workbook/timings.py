@@ -3,7 +3,6 @@
 import csv
 import re
 import tomllib
-from dataclasses import dataclass
 from pathlib import Path
 
 from workbook import paths
@@ -37,58 +36,30 @@ def measured_times(topic: str, table: str) -> dict[str, dict[str, float]]:
     return {name: dict(zip(headings[1:], map(float, row), strict=True)) for name, *row in rows}
 
 
-@dataclass(frozen=True)
-class Benchmark:
-    """A table of times and of their ratios to one of them.
+def benchmarks() -> list[dict]:
+    """The tables whose file is there, in the order of ``benchmarks/tables.toml``; none in a workbook without it.
 
-    Attributes
-    ----------
-    topic, title, unit, command, machine : str
-        What it is of, and how and where it was measured.
-    over : str
-        What the ratios are to.
-    headings : tuple of str
-        Of the columns, such as numbers of unknowns; one that is empty where there is one column.
-    rows : tuple of (str, tuple of (float, float))
-        What was timed; its time and ratio in each column.
+    Each has its fields of that file and the ``machine``; the ``headings`` of its columns, such as numbers of unknowns (an empty one
+    where there is one column); and ``rows``: what was timed, and of each column its time and the ratio to `over`.
     """
-
-    topic: str
-    title: str
-    unit: str
-    command: str
-    machine: str
-    over: str
-    headings: tuple[str, ...]
-    rows: tuple[tuple[str, tuple[tuple[float, float], ...]], ...]
-
-
-def benchmarks() -> list[Benchmark]:
-    """The tables whose file is there, in the order of ``benchmarks/tables.toml``; none in a workbook without it."""
     listed = paths.root() / "benchmarks" / "tables.toml"
     tables = tomllib.loads(listed.read_text(encoding="utf-8"))["table"] if listed.exists() else []
-    return [_benchmark(**table) for table in tables if paths.data(table["topic"], table["file"]).exists()]
+    return [_benchmark(table) for table in tables if paths.data(table["topic"], table["file"]).exists()]
 
 
-def _benchmark(topic, file, title, unit, over, command, names, across="", rows=()) -> Benchmark:
-    times = measured_times(topic, file)
-    if across:  # what was timed stands in the rows
+def _benchmark(table: dict) -> dict:
+    times = measured_times(table["topic"], table["file"])
+    if across := table.get("across"):  # what was timed stands in the rows
         columns = {"": {name: row[across] for name, row in times.items()}}
     else:
-        columns = {size: times[size] for size in rows}
-    return Benchmark(
-        topic,
-        title,
-        unit,
-        command,
-        _machine(paths.data(topic, file)),
-        names[over],
-        tuple(columns),
-        tuple(
-            (text, tuple((column[name], column[name] / column[over]) for column in columns.values()))
-            for name, text in names.items()
-        ),
-    )
+        columns = {size: times[size] for size in table["rows"]}
+    over, names = table["over"], table["names"]
+    rows = [
+        (text, [(column[name], column[name] / column[over]) for column in columns.values()])
+        for name, text in names.items()
+    ]
+    machine = _machine(paths.data(table["topic"], table["file"]))
+    return {**table, "over": names[over], "headings": list(columns), "rows": rows, "machine": machine}
 
 
 def _machine(table: Path) -> str:

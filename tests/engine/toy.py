@@ -220,12 +220,7 @@ class Toy:
 
     def leftovers(self) -> list[str]:
         """What a run left behind: processes, temporary files, half-written results."""
-        hidden = [path for path in self.root.rglob("*") if path.name.endswith((".new", ".old", ".accepting"))]
-        hidden += [path for path in self.root.glob("build/accepting")]
-        for kind in ("figures", "variants"):
-            for home in (self.root / "build" / kind).glob("*/.*/"):
-                shown = os.readlink(home.with_name(home.name[1:]))
-                hidden += [each for each in home.iterdir() if f"{home.name}/{each.name}" != shown]
+        hidden = [path for path in self.root.rglob("*") if path.name.endswith((".new", ".old"))]
         processes = [" ".join(process.cmdline()) for process in self.processes()]
         return [str(path) for path in [*self.temporary.iterdir(), *hidden]] + processes
 

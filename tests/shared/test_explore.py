@@ -2,13 +2,10 @@ import shlex
 
 import numpy as np
 import pytest
-from matplotlib.backends.backend_agg import RendererAgg
-from matplotlib.figure import Figure
 
 from workbook import figures
 from workbook.checks import InputError
 from workbook.explorer import Choice, Slider, StaticPicture, build_line, explore
-from workbook.redraw import RememberingRenderer
 
 CONTROLS = {
     "gain": Slider(0.0, 10.0, 2.0, "V", basis="printed", place="Table 1"),
@@ -145,39 +142,6 @@ def test_a_kept_figure_gives_the_pictures_of_one_made_anew():
                 box.children[0].children[0].value = value
                 pictures.append(bytes(box.children[-1].value))
         assert pictures[:4] == pictures[4:]
-
-
-def test_remembered_texts_are_what_matplotlib_draws():
-    """Each text twice, among others that differ from it in one respect alone."""
-    remembering = RememberingRenderer(300, 200, 100)
-    looks = [
-        {},
-        {"x": 0.101},
-        {"rotation": 30},
-        {"color": "red", "alpha": 0.5},
-        {"fontsize": 9},
-        {"fontweight": "bold"},
-        {"s": "gain of 3"},
-        {"s": r"$\frac{a}{\sqrt{b}}$ of 2"},
-        {"antialiased": False},
-        {"fontfeatures": ("-kern",), "s": "AVAVA"},
-        {"s": "AVAVA"},
-        {"s": "two\nlines of it"},
-        {"s": "a$b$", "parse_math": False},
-        {"s": "a$b$"},
-        {"ha": "center", "x": 0.5},
-        {"va": "top"},
-    ]
-    for look in looks * 2:
-        drawn = []
-        for renderer in (RendererAgg(300, 200, 100), remembering):
-            renderer.clear()
-            figure = Figure(figsize=(3, 2), dpi=100)
-            figure.text(**({"x": 0.1, "y": 0.5, "s": "gain of 2"} | look))
-            figure.draw(renderer)
-            drawn.append(np.array(renderer.buffer_rgba()))
-        assert (drawn[0] != 255).any()
-        np.testing.assert_array_equal(*drawn)
 
 
 def test_the_line_under_it_builds_the_page_with_what_is_shown():

@@ -155,6 +155,13 @@ class NotebookPage:
         ]
 
     @property
+    def answered(self) -> int:
+        """The first cell of text after the first picture: what stands above it is the answer."""
+        first = next((number for number, cell in enumerate(self.cells) if cell.figures), 0)
+        text = (number for number, cell in enumerate(self.cells) if not cell.code and not cell.apart)
+        return next((number for number in text if number > first), min(1, len(self.cells) - 1))
+
+    @property
     def summary(self) -> str:
         """The first paragraph, for who lists or shares the page."""
         paragraphs = (
