@@ -21,7 +21,7 @@ OWN = (".png", ".csv", ".json")  # what builds write there; anything else is not
 
 
 def accept(refresh: Callable[[], list[str]]) -> int:
-    """Accept the published-settings build of the whole workbook, or nothing of it.
+    """Accept the published-settings build of the whole workbook; nothing while any of it is stale.
 
     Parameters
     ----------
