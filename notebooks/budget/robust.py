@@ -32,35 +32,34 @@ def elsewhere(design: str, rate_hz: float, place: Perturbation) -> FloorMachine:
     return replace(built, stage=perturbed_plant(stage(), place), delay=max(1.0 + place.delay * rate_hz, 0.0))
 
 
-def errors_at(design: str, rate_hz: float, places: list[Perturbation]) -> tuple[np.ndarray, int]:
-    """Rms on every floor, (places, floors) in m with NaN where unstable, and at how many places it is."""
+def errors_at(design: str, rate_hz: float, places: list[Perturbation]) -> np.ndarray:
+    """Rms on every floor, (places, floors) in m, NaN where unstable."""
 
     def rms(place: Perturbation) -> np.ndarray:
         by_floor, others = on_every_floor(elsewhere(design, rate_hz, place))
         return np.sqrt(by_floor + others.sum())
 
-    band = box_band(rms, places)
-    return np.broadcast_to(band.rms.reshape(len(places), -1), (len(places), len(FLOORS))), band.unstable
+    found = box_band(rms, places).rms.reshape(len(places), -1)
+    return np.broadcast_to(found, (len(places), len(FLOORS)))
 
 
 @cache
 def boxed(
     design: str, size: float, rate_hz: float = RATE_HZ, places: int = PLACES, seed: int = 0
-) -> tuple[np.ndarray, int]:
-    """`errors_at` at places that fill the box."""
-    return errors_at(design, rate_hz, box_places(box(size, rate_hz), stage(), places, seed))
+) -> np.ndarray:
+    """`errors_at` at places that fill the box, then at its corners.
 
-
-@cache
-def at_corners(design: str, size: float, rate_hz: float = RATE_HZ) -> tuple[np.ndarray, int]:
-    """`errors_at` at the box's corners: all frequencies low or high, and light damping, high gain and long delay."""
-    return errors_at(design, rate_hz, corners(box(size, rate_hz)._of_modes(stage())))
+    These have all frequencies low or high, and light damping, high gain and long delay.
+    """
+    own = box(size, rate_hz)
+    inside = box_places(own, stage(), places, seed)
+    return errors_at(design, rate_hz, [*inside, *corners(own._of_modes(stage()))])
 
 
 @cache
 def best_shares(size: float, rate_hz: float = RATE_HZ, places: int = PLACES, seed: int = 0) -> np.ndarray:
     """Share of the places at which each design errs least among the stable ones, (designs, floors)."""
-    best = _best([boxed(design, size, rate_hz, places, seed)[0] for design in DESIGNS])
+    best = _best([boxed(design, size, rate_hz, places, seed)[:places] for design in DESIGNS])
     return np.array([(best == k).mean(axis=0) for k in range(len(DESIGNS))])
 
 
@@ -82,7 +81,7 @@ def nominal_and_box(
     ones = np.ones(len(stage().frequencies))
     nominal = [Perturbation(ones, ones, ones)]
     return [
-        np.vstack([errors_at(design, rate_hz, nominal)[0], boxed(design, size, rate_hz, places, seed)[0]])
+        np.vstack([errors_at(design, rate_hz, nominal), boxed(design, size, rate_hz, places, seed)[:places]])
         for design in DESIGNS
     ]
 
@@ -98,7 +97,7 @@ def turned(errors: list[np.ndarray]) -> np.ndarray:
 def turned_at_corners(size: float) -> np.ndarray:
     """As `turned`, between the nominal stage and the corners of the box."""
     whole = zip(DESIGNS, nominal_and_box(size), strict=True)
-    return turned([np.vstack([errors[:1], at_corners(design, size)[0]]) for design, errors in whole])
+    return turned([np.vstack([errors[:1], boxed(design, size)[PLACES:]]) for design, errors in whole])
 
 
 @cache
@@ -116,7 +115,7 @@ def turned_by(part: str, size: float) -> np.ndarray:
         }[part]
         places = [places[-1], low]
     whole = [Perturbation(ones, ones, ones), *places]
-    return turned([errors_at(design, RATE_HZ, whole)[0] for design in DESIGNS])
+    return turned([errors_at(design, RATE_HZ, whole) for design in DESIGNS])
 
 
 def one_sided(size: float, rate_hz: float = RATE_HZ, places: int = PLACES, seed: int = 0) -> float:
@@ -166,19 +165,19 @@ def best_at_nominal() -> dict[str, str]:
 
 def lost(rate_hz: float = RATE_HZ, places: int = PLACES, seed: int = 0) -> dict[float, int]:
     """By size of the box, at how many of its places and corners AD alone is unstable."""
-    how = (rate_hz, places, seed)
-    return {size: boxed("AD", size, *how)[1] + at_corners("AD", size, rate_hz)[1] for size in SIZES}
+    found = {size: boxed("AD", size, rate_hz, places, seed) for size in SIZES}
+    return {size: int(np.isnan(errors).any(axis=1).sum()) for size, errors in found.items()}
 
 
 def unstable_at_nominal(rate_hz: float) -> bool:
     """Whether AD alone is unstable at the nominal stage with controllers of this rate."""
     ones = np.ones(len(stage().frequencies))
-    return errors_at("AD", rate_hz, [Perturbation(ones, ones, ones)])[1] > 0
+    return bool(np.isnan(errors_at("AD", rate_hz, [Perturbation(ones, ones, ones)])).any())
 
 
 def best_where_lost(size: float) -> str:
     """The uses that err least on the loud floors at the places and corners of the box where AD alone is unstable."""
-    errors = [np.vstack([boxed(design, size)[0], at_corners(design, size)[0]]) for design in DESIGNS]
+    errors = [boxed(design, size) for design in DESIGNS]
     gone = np.isnan(errors[DESIGNS.index("AD")]).any(axis=1)
     best = _best(errors)[np.ix_(gone, [FLOORS.index(name) for name in LOUD])]
     return " or ".join(DESIGNS[k] for k in np.unique(best))

@@ -158,21 +158,25 @@ def resting(period: np.ndarray) -> np.ndarray:
     return ~moves[::10]
 
 
-def moving_table(errors: dict[str, np.ndarray], rest: np.ndarray):
-    """A row a method: rms error at rest and largest error in µm, and what the pump adds in nm."""
+def left_at_rest(errors: dict[str, np.ndarray], period: np.ndarray) -> dict[str, float]:
+    """Rms error in the rests that the setpoint leaves, m, by step."""
+    return {name: float(np.sqrt(np.mean(scan[resting(period)] ** 2))) for name, (scan, _) in errors.items()}
+
+
+def moving_table(errors: dict[str, np.ndarray], left: dict[str, float]):
+    """A row a method: rms error `left` at rest and largest error in µm, and what the pump adds in nm."""
     from pandas import DataFrame
 
     rows = {
-        name: (1e6 * (scan[rest] ** 2).mean() ** 0.5, 1e6 * abs(scan).max(), 1e9 * pump.std())
+        name: (1e6 * left[name], 1e6 * abs(scan).max(), 1e9 * pump.std())
         for name, (scan, pump) in errors.items()
     }
     columns = ["at rest (µm)", "at most (µm)", "pump (nm)"]
     return DataFrame.from_dict(rows, orient="index", columns=columns)
 
 
-def moving_statements(errors: dict[str, np.ndarray], rest: np.ndarray) -> dict[str, float]:
-    """What the setpoint leaves, by the ledger's names."""
-    left = {name: float(np.sqrt(np.mean(one[0, rest] ** 2))) for name, one in errors.items()}
+def moving_statements(left: dict[str, float]) -> dict[str, float]:
+    """What the setpoint leaves at rest, by the ledger's names."""
     order = left["observer"] < left["skyhook"] < left["passive, PID"]
     return {
         "budget.moving.observer-first": float(order),
@@ -188,10 +192,8 @@ def moving_study(frame: float, stroke_time: float, mass_share: float, *, seed: i
     try:
         errors = moving_errors(period, mass_share, 0.01, 24.0, Assumed(frame=frame))
     except UnstableLoop:
-        return dict.fromkeys(
-            moving_statements({name: np.ones((2, 1)) for name in STEPS}, np.ones(1, bool)), np.nan
-        )
-    return moving_statements(errors, resting(period))
+        return dict.fromkeys(moving_statements(dict.fromkeys(STEPS, 1.0)), np.nan)
+    return moving_statements(left_at_rest(errors, period))
 
 
 def paint_moving(errors: dict[str, np.ndarray], period: np.ndarray):

@@ -65,27 +65,16 @@ def estimate_again() -> dict[str, list[tuple[float, float]]]:
     return found
 
 
-def beside_the_estimate(found: dict[str, list[tuple[float, float]]]) -> dict[str, dict[str, float]]:
+def beside_the_estimate(found: dict[str, list[tuple[float, float]]]):
     """A row a case: both parts of the budget, nm rms, and those of the first estimate."""
+    from pandas import DataFrame
+
     p, rows = parameters().table("estimate"), {}
     for hertz, powers in found.items():
         for k, (case, (floor_nm, sensor_nm)) in enumerate(zip(CASES, powers, strict=True)):
             theirs = {f"{part}, estimate": p[f"{part}_{hertz}"][k] for part in ("floor", "sensor")}
             rows[f"{hertz} Hz, {case}"] = {"floor": floor_nm, "sensor": sensor_nm} | theirs
-    return rows
-
-
-def largest_ratios(found: dict[str, list[tuple[float, float]]]) -> dict[str, float]:
-    """Largest factor between the budget and the estimate, of the floor's part and of the sensor's."""
-    p = parameters().table("estimate")
-    return {
-        part: max(
-            max(ours[k] / theirs, theirs / ours[k])
-            for hertz in found
-            for ours, theirs in zip(found[hertz], p[f"{part}_{hertz}"], strict=True)
-        )
-        for k, part in enumerate(("floor", "sensor"))
-    }
+    return DataFrame(rows).T
 
 
 def lyapunov_distance() -> float:
