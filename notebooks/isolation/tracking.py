@@ -376,6 +376,7 @@ def judged(into: Switched, back: Switched) -> dict[str, tuple[float, tuple[float
 
 
 MICROSEISM_HZ, MICROSEISM_DAMPING, WATCHED_S = 0.2, 0.1, 40.0
+PATH_DELAY, EQUAL_S, REMAINS = 2, 60.0, 0.1  # samples; of the runs at equal power: s, and share
 
 
 class SlowRun(NamedTuple):
@@ -418,6 +419,39 @@ def on_slow_floor(
     return SlowRun(run.broke_s or WATCHED_S, run.broke_s is not None, float(off))
 
 
+def at_equal_power(twin: Twin, floor: ShapedFloor, step_size: float, memory_s: float, seed: int) -> float:
+    """By how much FeRLS from its steady P settles sooner than FeLMS where both scatter alike, both by the modified error.
+
+    They scatter by the power of N[(W - W*) psi] about the optimum W*, which falls as the memory of FeRLS grows from `memory_s`.
+    A run has settled once a tenth of the power that zero weights leave remains: medians of eight runs.
+    """
+
+    def powers(memory: float, weights) -> dict[str, np.ndarray]:
+        forgetting = float(np.exp(-twin.sample_time / memory))
+        steady = steady_state(twin, floor, forgetting=forgetting)
+        both = {
+            "FeLMS": FeLms(step_size, path_delay=PATH_DELAY),
+            "FeRLS": FeRls(steady.covariance, forgetting, growth_limit=np.inf, path_delay=PATH_DELAY),
+        }
+        seeds = range(seed, seed + TOGETHER)
+        runs = simulate_together(twin, floor, EQUAL_S, adaptations=both, weights=weights, seeds=seeds)
+        found = {}
+        for name in both:
+            off = np.array([run[name].weights[:, 0] for run in runs]) - steady.weights[0]
+            found[name] = np.einsum("rti,ij,rtj->rt", off, steady.correlation, off)
+        return found
+
+    weights = steady_state(twin, floor).weights
+    scatter = {name: rows[:, rows.shape[1] // 2 :].mean() for name, rows in powers(memory_s, weights).items()}
+    equal = float(memory_s * scatter["FeRLS"] / scatter["FeLMS"])
+    learning = powers(equal, 0 * weights)
+    felms, ferls = (
+        np.median([np.flatnonzero(row > REMAINS * row[0])[-1] + 1 for row in learning[name]])
+        for name in ALGORITHMS
+    )
+    return float(felms / ferls)
+
+
 # === Appendix =====================================================================================================
 
 
@@ -427,8 +461,6 @@ def appendix(
     noisy: Twin,
     switches: Mapping[str, Switch],
     lost: Switch,
-    back: Switched,
-    expected: Mapping[str, Mapping[str, Response]],
     duration_s: float,
     settings: tuple[float, float, float],
     seed: int,
@@ -442,17 +474,12 @@ def appendix(
         The fitted twin with the output noise of Fig. 8.
     switches : mapping of str to Switch
         By title; `lost` is that of `noisy`.
-    back : Switched
-        Runs of the switch from coloured to flat.
-    expected : mapping
-        Mean courses by title and algorithm.
     duration_s : float
     settings : tuple of float
         Step size, forgetting factor, and output noise of the quiet twin.
     seed : int
     """
     step_size, forgetting, platform_noise = settings
-    _of_single_runs(page, switches, back, expected)
     rigid = load_twin("rigid_body").varied(platform_noise=platform_noise)
     first = next(iter(switches.values()))
     page.text("""## The rigid body, and the noisy output
@@ -480,20 +507,3 @@ Which number agrees under which of these choices and not under every one (`data/
             never=("tracking",),
         )
     )
-
-
-def _of_single_runs(page, switches, back: Switched, expected) -> None:
-    page.text("""## Shifts, and single runs
-
-Shift of w1 to w9, 1e-4 N per m/s²; then the settling times of w4 to w6 from coloured to flat: mean course, and median (10 to
-90 %) of the runs that have settled. Which settles first changes with the floor's upper end, the trace *and* the bands'
-height.""")
-    title = list(switches)[1]
-    page.show(*(f"{name}: {(1e4 * each.shift).round().astype(int)}" for name, each in switches.items()))
-    for name in ALGORITHMS:
-        times = back.study[f"{name} w4-w6"]
-        low, middle, high = np.quantile(times[np.isfinite(times)], [0.1, 0.5, 0.9])
-        page.show(
-            f"{name}: mean course {expected[title][name].settling_s('w4-w6'):.0f} s, runs {middle:.0f} s ({low:.0f} to {high:.0f}), "
-            f"not settled {np.isinf(times).sum()} of {len(times)}"
-        )

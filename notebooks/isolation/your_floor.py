@@ -196,7 +196,7 @@ WORTH = 0.9  # what a feedforward that pays leaves at most of the skyhook loop's
 def feedforward(gains: np.ndarray, left: dict[str, np.ndarray]) -> tuple[str, str]:
     """Whether the feedforward pays on this floor beside the skyhook loop alone; and from how loud a one."""
     ratio = left["FeRLS"] / left["feedback"]
-    here, gain = float(np.interp(0.0, np.log(gains), ratio)), _pays_from(gains, ratio / WORTH)
+    here, gain = _here(gains, ratio), _pays_from(gains, ratio / WORTH)
     pays = "pays" if here < WORTH else "does not pay"
     off = f"The feedforward leaves at most {WORTH:g} of the skyhook loop's motion"
     ends = {
@@ -205,6 +205,23 @@ def feedforward(gains: np.ndarray, left: dict[str, np.ndarray]) -> tuple[str, st
     }
     where = ends.get(gain, f"{off} from {gain:.2g} times this floor's amplitude on.")
     return f"The feedforward {pays}: it leaves {here:.2f} of the skyhook loop's motion.", where
+
+
+def decision(gains: np.ndarray, left: dict[str, np.ndarray]) -> str:
+    """What to do on this floor."""
+    passive, loops = (_here(gains, left[name] / left["passive"]) for name in ("feedback", "FeRLS"))
+    if loops < min(1.0, WORTH * passive):
+        return "Build both loops on this floor."
+    if passive < 1:
+        return "Build the skyhook loop alone on this floor."
+    gain = _pays_from(gains, left["FeRLS"] / left["passive"])
+    quieter = f", or take sensors {gain:.2g} times as quiet" if np.isfinite(gain) else ""
+    return f"Leave this isolator passive on this floor{quieter}."
+
+
+def _here(gains: np.ndarray, ratio: np.ndarray) -> float:
+    """A ratio on this floor."""
+    return float(np.interp(0.0, np.log(gains), ratio))
 
 
 def _pays_from(gains: np.ndarray, ratio: np.ndarray) -> float:

@@ -332,3 +332,18 @@ def test_limit_holds_though_the_start_is_as_large_as_one_likes():
     # The granted hundred times the value that its own power gives, at the power's largest.
     assert 50 / power < run.covariance[2, 2] <= 101 / power
     assert run.held[2] > 0.9 and run.held[0] < 1e-6  # the start alone was held there
+
+
+@pytest.mark.parametrize("form", ["safe", "UD"])
+def test_regressors_that_are_alike_are_followed_in_the_memory_from_their_own_covariance(form):
+    """Against weighted least squares, ten time constants on: their difference has a millionth of their power."""
+    rng, count = np.random.default_rng(3), round(10 / (1 - FORGETTING))
+    both, own = rng.standard_normal((2, count))
+    psi = np.vstack([both, both + 1e-3 * own])
+    disturbance = np.array([[300.0, -300.0]]) @ psi + 1e-3 * rng.standard_normal(count)
+    power = np.array([[1.0, 1.0], [1.0, 1.0 + 1e-6]])
+    settings = FeRls((1 - FORGETTING) * np.linalg.inv(power), FORGETTING, form=form)
+    found = identify(settings, psi, disturbance).weights
+    root = FORGETTING ** (np.arange(count)[::-1] / 2)
+    best = np.linalg.lstsq((root * psi).T, -(root * disturbance[0]), rcond=None)[0]
+    assert found == pytest.approx(best[None], rel=0.01)

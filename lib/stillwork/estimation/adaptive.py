@@ -157,8 +157,9 @@ class FeRls:
     growth_limit : float
         How far an element of the diagonal of P may grow, at least 1; ``inf`` for the printed algorithm. It counts from
         P(-1), but from ten times the steady value that the regressor's own power gives, 1 / sum lambda^j psi^2, where
-        that is less: it keeps P from winding up after any P(-1), but does not keep too large a P(-1) from breaking the
-        loop in its first samples. A floor that gets quieter by more than this, in power, and a combination of
+        that is less; of regressors so alike that P(-1) is more than ten times that, P_ii (P^-1)_ii, from as many. It keeps
+        P from winding up after any P(-1), but does not keep too large a P(-1) from breaking the loop in its first samples.
+        A floor that gets quieter by more than this, in power, and a combination of
         regressors that is weaker than this are followed more slowly; `held` of the result lists the regressors that the
         limit held. The triangle does not depend on the order of the regressors; forms with factors hold one regressor a
         sample, in turn, so that while limits act their result depends on the order.
@@ -261,12 +262,14 @@ class FeRls:
             form = "triangle" if dtype == np.float64 else "UD"
         levels = np.zeros((4, regressors), dtype)
         levels[0] = self.growth_limit * np.diag(covariance)
+        # Steady variance of a regressor over that which its own power gives, largest: of regressors that are alike above ten.
+        alike = np.max(np.diag(covariance) * np.diag(np.linalg.inv(covariance)))
         return Recursion(
             factor_of(form, covariance).astype(dtype),
             FORMS.index(form),
             float(dtype.type(self.forgetting)),
             levels,
-            float(self.growth_limit * INFLATION),
+            float(self.growth_limit * max(INFLATION, alike)),
             np.zeros(regressors, dtype),
             *(None if form == "triangle" else np.zeros(regressors, dtype) for _ in range(2)),
         )

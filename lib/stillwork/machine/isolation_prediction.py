@@ -181,7 +181,7 @@ def _drawn(
 ) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """Weights of each isolator of the box, drawn from their scatter, and the rms of what then remains of every axis."""
     values, vectors = np.linalg.eigh(moves.covariance)
-    root = vectors * np.sqrt(np.maximum(values, 0))
+    root = (vectors * np.sqrt(np.maximum(values, 0))) @ vectors.T  # of whatever basis where values are alike
     noises = design.isolator.floor_noise, design.isolator.platform_noise
     drawn, sizes = [], []
     for each in around:
