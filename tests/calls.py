@@ -282,7 +282,7 @@ def catalogue() -> dict:
         "damping_gain, placed": (c.damping_gain, {"model": model, "increase": 0.1, "selection": "pole placement"}),
         "decouple": (c.decouple, {"model": broad, "actuated": [0, 1], "sensed": [0, 1]}),
         "error_loop": (c.error_loop, {"loop": loop}),
-        "fit_feedforward": (c.fit_feedforward, {"loop": c.error_loop(loop), "setpoint": setpoint, "basis": ("acceleration",)}),
+        "fit_feedforward": (c.fit_feedforward, {"loop": c.error_loop(loop), "setpoint": setpoint}),
         "inverse_gains": (c.inverse_gains, {"model": model}),
         "loop_margins": (m.loop_margins, {"loop": search, "pid": pid(20.0)}),
         "make_loop": (c.make_loop, {"plant": model, "low_hz": 1.0, "high_hz": 1000.0, "points": 30, "around": 2}),

@@ -129,14 +129,11 @@ def spread_interval(values, level: float = 0.95) -> tuple[float, float]:
     return float(values.mean() - half), float(values.mean() + half)
 
 
-def proportion_interval(
-    successes: float | np.number, runs: int | np.integer, level: float = 0.95
-) -> tuple[float, float]:
-    """Wilson's (1927) confidence interval of a proportion; `successes` may be a share times the runs, no whole number."""
+def proportion_interval(successes: float | np.number, runs: int | np.integer) -> tuple[float, float]:
+    """Wilson's (1927) interval of 95 % of a proportion; `successes` may be a share times the runs, no whole number."""
     require_count("runs", runs)
     require_number("successes", successes, at_least=0, at_most=runs)
-    require_number("level", level, above=0, below=1)
-    share, normal = successes / runs, ndtri(0.5 + level / 2)
+    share, normal = successes / runs, ndtri(0.975)
     middle = share + normal**2 / (2 * runs)
     half = normal * np.sqrt(share * (1 - share) / runs + normal**2 / (4 * runs**2))
     whole = 1 + normal**2 / runs

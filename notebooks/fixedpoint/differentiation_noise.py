@@ -31,12 +31,11 @@ def quotient_trial(
     }
 
 
-def rejects_gaussian(values: ArrayLike, level: float = 1e-3) -> bool:
-    """Whether skewness and kurtosis of a record tell it from independent Gaussian noise (Jarque and Bera's test)."""
+def rejects_gaussian(values: ArrayLike) -> bool:
+    """Whether skewness and kurtosis of a record tell it from independent Gaussian noise (Jarque and Bera's test, at 0.1 %)."""
     from scipy.stats import jarque_bera
 
-    require_number("level", level, above=0, below=1)
-    return bool(jarque_bera(require_array("values", values, ndim=1)).pvalue < level)
+    return bool(jarque_bera(require_array("values", values, ndim=1)).pvalue < 1e-3)
 
 
 def difference_quotient(measured: ArrayLike, sample_time: float) -> Float64[np.ndarray, " quotients"]:
@@ -78,12 +77,12 @@ class Correlations(NamedTuple):
     variance: float  # of the quotient, m^2/s^2
 
 
-def correlations(error: ArrayLike, sample_time: float, reach: int = 4) -> Correlations:
-    """Correlations found in a record of measurement errors (m), up to a lag of `reach` samples."""
+def correlations(error: ArrayLike, sample_time: float) -> Correlations:
+    """Correlations found in a record of measurement errors (m), up to a lag of four samples."""
     quotient = difference_quotient(error, sample_time)
     position = error[1:] - error[1:].mean()
     centred = quotient - quotient.mean()
-    lags = np.arange(-reach, reach + 1)
+    lags = np.arange(-4, 5)
     return Correlations(
         lags,
         np.array([_correlation(centred, centred, lag) for lag in lags]),

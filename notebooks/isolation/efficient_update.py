@@ -223,7 +223,7 @@ def _bars(axes, values: Mapping[str, float], text: str):
 # === Appendix =====================================================================================================
 
 
-def hessian_of_felms(regressors: ArrayLike, regularisation: float = 1e-5) -> dict[str, float]:
+def hessian_of_felms(regressors: ArrayLike) -> dict[str, float]:
     """How far the Hessian (31) of FeLMS is from the mean of the regressors' products, for both reasons of section 4.4.
 
     ``spread``: largest over smallest eigenvalue of the mean products, ``powers``: the same of their diagonal alone; both
@@ -231,7 +231,7 @@ def hessian_of_felms(regressors: ArrayLike, regularisation: float = 1e-5) -> dic
     inverse of its mean.
     """
     psi = require_array("regressors", regressors, ndim=2)
-    traces = regularisation + np.sum(psi**2, axis=0)
+    traces = 1e-5 + np.sum(psi**2, axis=0)
     powers = np.mean(psi**2, axis=1)
     return {
         "spread": float(np.linalg.cond(psi @ psi.T / psi.shape[1])),

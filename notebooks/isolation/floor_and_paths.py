@@ -110,11 +110,11 @@ def fit_error_db(twin: Twin, frequencies_hz: ArrayLike, fit) -> Float64[np.ndarr
     return 20 * np.log10(np.abs(diagonal_path(twin, frequencies_hz) / fit(z)))
 
 
-def fit_reaches_hz(twin: Twin, above_hz: float, fit, within_db: float = 3.0) -> float:
-    """Highest frequency up to which, from `above_hz` on, the fit's magnitude stays within `within_db`."""
+def fit_reaches_hz(twin: Twin, above_hz: float, fit) -> float:
+    """Highest frequency up to which, from `above_hz` on, the fit's magnitude stays within 3 dB."""
     require_number("above_hz", above_hz, above=0.0, below=twin.instruments.sample_rate / 2)
     f = np.arange(above_hz, twin.instruments.sample_rate / 2, 1.0)
-    outside = np.any(np.abs(fit_error_db(twin, f, fit)) > within_db, axis=0)
+    outside = np.any(np.abs(fit_error_db(twin, f, fit)) > 3.0, axis=0)
     return float(f[np.argmax(outside)] if outside.any() else f[-1])
 
 

@@ -52,14 +52,14 @@ def damped_ratios(model: ModalModel, increase: float) -> tuple[pd.DataFrame, pd.
     return tuple(pd.DataFrame(each, index=names) + 0.0 for each in (rows, diagonal))
 
 
-def rigid_poles_after_placement(model: ModalModel, increase: float, machines: int = 21) -> np.ndarray:
+def rigid_poles_after_placement(model: ModalModel, increase: float) -> np.ndarray:
     """Largest real part of a rigid-body pole after Ackermann's formula has placed all poles, over the first resonance.
 
-    On `machines` stages whose frequencies differ from the model's by up to 1 %: what rounding leaves varies from
+    On 21 stages whose frequencies differ from the model's by up to 1 %: what rounding leaves varies from
     one to the next. The wanted poles are those of (3.33), with the double one at zero left where it is.
     """
     found = []
-    for shift in np.linspace(-0.01, 0.01, machines):
+    for shift in np.linspace(-0.01, 0.01, 21):
         machine = replace(model, frequencies=(1 + shift) * model.frequencies)
         states, ratios = machine.state_space(), machine.damping[1:] + increase
         upper = machine.frequencies[1:] * (-ratios + 1j * np.sqrt(1 - ratios**2))

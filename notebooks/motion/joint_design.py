@@ -266,15 +266,15 @@ def errors_of_nominal_gains(
     return np.array([scan(design, grid_of(each, transform())).error(gains) for each in plants])
 
 
-def noise_floor(model: ModalModel, delay: float = DELAY) -> float:
+def noise_floor(model: ModalModel) -> float:
     """Rms of mass 5's error under the noise of section 3.1 (m) that no controller goes below.
 
-    The first position that a command moves is that of sample `1 + int(delay)` from it; what the measurements up to the
+    The first position that a command moves is that of sample `1 + int(DELAY)` from it; what the measurements up to the
     command leave unknown of that position no command takes away.
     """
     plant, noise = zoh_modes(model.at([0], [MEASURED]), SAMPLE_TIME), published_noise()
     unknown = discrete_gain(plant.a, plant.b, plant.c, noise.process, noise.sensor).covariance
-    for _ in range(int(delay)):
+    for _ in range(int(DELAY)):
         unknown = plant.a @ unknown @ plant.a.T + noise.process * plant.b @ plant.b.T
     return float(np.sqrt((plant.c @ unknown @ plant.c.T)[0, 0] + published_deviations()["v"] ** 2))
 

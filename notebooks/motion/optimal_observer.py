@@ -128,13 +128,13 @@ def low_pass(corner_hz: float) -> StateModel:
     return StateModel(np.array([[-w]]), np.array([[w]]), np.array([[1.0]]), np.zeros((1, 1)))
 
 
-def sensitivity_weight(corner_hz: float, floor: float = 0.02) -> StateModel:
+def sensitivity_weight(corner_hz: float) -> StateModel:
     """Weight with slope -3 below the corner and the inverse of 6 dB above: 1 over a wanted sensitivity.
 
-    Below `floor` of the corner it stays constant: a pure integrator would make every norm infinite.
+    Below a fiftieth of the corner it stays constant: a pure integrator would make every norm infinite.
     """
     w = 2 * np.pi * corner_hz
-    one = np.ones((1, 1))
+    one, floor = np.ones((1, 1)), 0.02
     whole = series([StateModel(-floor * w * one, w * (1 - floor) * one, one, one)] * 3)
     return StateModel(whole.a, whole.b, whole.c / SIX_DB, whole.d / SIX_DB)
 

@@ -348,9 +348,9 @@ def order_trial(
     return found
 
 
-def order_study(law: str, rigid: bool, pairs: int, seed: int, size: float = 0.05) -> Study:
+def order_study(law: str, rigid: bool, pairs: int, seed: int) -> Study:
     """The four filters under one law of the errors: `pairs` times tuned on 20 stages and judged on 50 others."""
-    contest, tried = _tried(size, rigid)
+    contest, tried = _tried(0.05, rigid)
     settings = {"law": law, "rigid": rigid, "tuning_plants": 20, "plants": 50}
     return run_study(order_trial, pairs, seed, progress=False, contest=contest, tried=tried, **settings)
 
@@ -507,12 +507,10 @@ PUBLISHED = ("Kalman", "sensitivity penalised", "regularised least squares")
 COLOURS = dict(zip(ENTRANTS, (figures.RED, figures.BLUE, figures.GREEN), strict=False))
 
 
-def paint_state_errors(
-    scan: Scan, truth: np.ndarray, estimates: Mapping[str, np.ndarray], span: float = 5e-3
-):
-    """Position errors of one run (Fig. 5.10) beside the true states: rms over a running `span` (s), a panel a mode."""
+def paint_state_errors(scan: Scan, truth: np.ndarray, estimates: Mapping[str, np.ndarray]):
+    """Position errors of one run (Fig. 5.10) beside the true states: rms over a running 5 ms, a panel a mode."""
     figure, axes = figures.new(1, 3, height=3.0, sharex=True)
-    time, count = scan.setpoint.time, round(span / scan.setpoint.sample_time)
+    time, count = scan.setpoint.time, round(5e-3 / scan.setpoint.sample_time)
     window, inside = np.ones(count) / count, slice(count - 1, len(time) - count + 1)
     for axis, k in zip(axes, (0, 2, 4), strict=True):
         lines = {name: (truth[k] - found[k], COLOURS.get(name)) for name, found in estimates.items()}
@@ -898,24 +896,22 @@ def largest_deviation(percent: Mapping[str, np.ndarray]) -> float:
     return max(abs(float(np.median(each)) / PRINTED[case] - 1) for case, each in percent.items())
 
 
-def resampled(
-    percent: Mapping[str, np.ndarray], draws: int = 1000, seed: int = 0
-) -> tuple[dict[str, np.ndarray], np.ndarray]:
+def resampled(percent: Mapping[str, np.ndarray]) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Medians of the six cases over plants drawn again with replacement, and the largest deviation of each draw."""
-    rng, plants = np.random.default_rng(seed), len(next(iter(percent.values())))
-    chosen = rng.integers(plants, size=(draws, plants))
+    rng, plants = np.random.default_rng(0), len(next(iter(percent.values())))
+    chosen = rng.integers(plants, size=(1000, plants))
     medians = {case: np.median(each[chosen], axis=1) for case, each in percent.items()}
     off = np.max([np.abs(each / PRINTED[case] - 1) for case, each in medians.items()], axis=0)
     return medians, off
 
 
-def proven_peak(case: str, size: float, seed: int, plants: int = 40) -> tuple[float, float]:
+def proven_peak(case: str, size: float, seed: int) -> tuple[float, float]:
     """Largest S_I of a loop of `CASES` with all frequencies up to `size` off: over sampled ends, and proven for all.
 
     The bound is that of `lti.prove_gain`, at the first level that it proves, in steps of 0.5 % from the sampled one.
     """
     rng, plant, blocks, sampled = np.random.default_rng(seed), _nominal(), published_blocks()[case], 0.0
-    for _ in range(plants):
+    for _ in range(40):
         off = np.eye(4)[0] * sample_errors(rng, plant, size, "ends", False)  # the frequencies alone
         loop = channel(closed_loop(perturbed(plant, off), *blocks), "u_ff", "u")
         sampled = max(sampled, hinf_norm(loop).magnitude if loop.is_stable else np.inf)

@@ -186,17 +186,16 @@ def compare_schedules(
     mass_spacing: float,
     table_spacing: float,
     seed: int,
-    scans: int = 29,
 ) -> dict[str, ScheduleComparison]:
-    """Scans at equally spaced starts over all of the structure, each with both gain schedules and the same noise.
+    """29 scans at equally spaced starts over all of the structure, each with both gain schedules and the same noise.
 
     `cases` hold a key of `APPLICATIONS` and the controller; distances of the masses and of the table in m.
     """
     plant, deviations = stage(), np.array(list(published_deviations().values()))
     grid, rng = mass_spacing * np.arange(len(plant.output_shapes)), np.random.default_rng(seed)
     travel = setpoint.derivatives[0, -1]
-    starts = np.linspace(grid[0], grid[-1] - travel * (1 + 1e-12), scans)
-    found = {name: np.zeros((2, 2, scans, 2 * RETAINED)) for name in cases}
+    starts = np.linspace(grid[0], grid[-1] - travel * (1 + 1e-12), 29)
+    found = {name: np.zeros((2, 2, len(starts), 2 * RETAINED)) for name in cases}
     for k, start in enumerate(starts):
         scan = position_scan(plant, grid, setpoint, float(start))
         model = observer_model(scan, deviations[0] ** 2, (deviations[1:] ** 2).sum())

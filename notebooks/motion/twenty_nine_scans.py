@@ -337,15 +337,13 @@ def ranges(places: ArrayLike, shortest: float, points: int = 11) -> Float64[np.n
     return np.stack([low[wide], high[wide]], axis=1)
 
 
-def stage_error(
-    setpoint: Setpoint, controller: Pid, measured: int = 5, noise: ArrayLike | None = None
-) -> Force:
-    """Feedforward error of the stage for one measured mass: ideal force less the gains fitted without observer.
+def stage_error(setpoint: Setpoint, controller: Pid, noise: ArrayLike | None = None) -> Force:
+    """Feedforward error of the stage with the fifth mass measured: ideal force less the gains fitted without observer.
 
     The gains leave the smallest sum of squared errors over the move; with `noise` of the measured error (m) they are
     fitted to a noisy one.
     """
-    plant = stage().at([0], [measured - 1])
+    plant = stage().at([0], [4])
     loop = channel(closed_loop(plant, None, controller.state_space()), "w", "e_true")
     sampled, ideal = zoh(loop, setpoint.sample_time), sampled_ideal_force(plant, setpoint)
     left = [

@@ -8,7 +8,7 @@ from jaxtyping import Float64
 
 from experiments.worstcase.measured import loudest_band, paint_windows
 from experiments.worstcase.pairs import Pair, Spectra, residual
-from stillwork.base.checks import InputError, pluralise, require_array, require_count
+from stillwork.base.checks import InputError, pluralise, require_count
 from stillwork.estimation.linear_fits import total_least_squares
 from stillwork.estimation.min_max import qr_r, solve_silently, solve_sweep
 from stillwork.estimation.recursive import track
@@ -45,11 +45,11 @@ class Fitted:
         return float(self.factors[np.argmin(self.choosing)])
 
 
-def fit_pair(pair: Pair, taps: int, memory: int, factors: np.ndarray | None = None) -> Fitted:
+def fit_pair(pair: Pair, taps: int, memory: int) -> Fitted:
     """FIR models by RLS, min-max and total least squares from the first half of a record, judged on the last quarter.
 
     The recursive estimators run over the first half and end with the exponential weights of their memory; total least
-    squares takes its last `memory` samples. The bound is swept with the same weights, over these `factors` of the
+    squares takes its last `memory` samples. The bound is swept with the same weights, over 0.01 to 10 times the
     typical bound, and chosen on the third quarter, which no model was fitted to and none is judged on.
     """
     taps, memory = require_count("taps", taps), require_count("memory", memory, at_least=2)
@@ -75,7 +75,7 @@ def fit_pair(pair: Pair, taps: int, memory: int, factors: np.ndarray | None = No
     last = slice(fit.stop - memory, fit.stop)
     estimates["total least squares"] = total_least_squares(regressors[:, last].T, output[last])
     matrix, target = weighted_corner(regressors[:, fit], output[fit], forgetting)
-    factors = np.geomspace(0.01, 10, 25) if factors is None else require_array("factors", factors, ndim=1)
+    factors = np.geomspace(0.01, 10, 25)
     swept = solve_sweep(matrix, target, factors * typical)
     choosing, judging = (
         np.array([residual(regressors[:, part].T, output[part], one.estimate) for one in swept])

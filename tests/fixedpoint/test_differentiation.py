@@ -25,7 +25,7 @@ def test_covariance_of_quotient_and_position(rng):
 
 
 def test_correlations_of_white_error(rng):
-    found = correlations(rng.logistic(size=200_000), SAMPLE_TIME, reach=3)
+    found = correlations(rng.logistic(size=200_000), SAMPLE_TIME)
     spread = 4 / np.sqrt(200_000)
     for lag, own, cross in zip(found.lags, found.quotient, found.cross, strict=True):
         assert own == pytest.approx(quotient_autocorrelation(int(lag)), abs=spread)

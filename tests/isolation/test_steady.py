@@ -14,6 +14,7 @@ from stillwork.base.checks import InputError
 from stillwork.estimation.adaptive import FeRls
 
 RIGID, FITTED = load_twin("rigid_body"), load_twin("fitted")
+NOISELESS = {"floor_noise": 0.0, "platform_noise": 0.0}
 QUIET = {"mains_hz": [], "floor_mains": [], "platform_mains": []}
 
 
@@ -44,7 +45,7 @@ def test_a_perfect_estimate_without_delay_converges_like_one():
     twin = replace(FITTED, plant=perfect).varied(
         gain=0.0, parasitic_gain=0.0, conditioning_highpass_hz=1e-3, conditioning_lowpass_hz=1e6
     )
-    steady = steady_state(twin, flat_floor(30.0), noise=False)
+    steady = steady_state(twin.varied(**NOISELESS), flat_floor(30.0))
     assert steady.rls_eigenvalues.real == pytest.approx(1, abs=5e-3)
     # FeLMS then sees the spread of R itself, the same for every actuator.
     spread = np.repeat(np.linalg.eigvalsh(steady.correlation) / np.trace(steady.correlation), 6)
@@ -89,7 +90,7 @@ def test_adaptation_ends_at_the_fixed_point():
 @pytest.mark.parametrize(("floor", "stable"), [(band_floor(20.0, 24.0), False), (flat_floor(80.0), True)])
 def test_growth_of_a_horizontal_error_is_predicted(floor, stable):
     """Weights that push the platform sideways: slowest eigenvalue against the simulated rate."""
-    steady = steady_state(RIGID, floor, noise=False)
+    steady = steady_state(RIGID.varied(**NOISELESS), floor)
     slowest = steady.rls_eigenvalues.real.min()
     assert (slowest > 0) == stable
     sideways = RIGID.rig.struts.jacobian[:, 0] / np.linalg.norm(RIGID.rig.struts.jacobian[:, 0])
@@ -111,7 +112,7 @@ def test_growth_of_a_horizontal_error_is_predicted(floor, stable):
 def test_a_silent_floor_is_refused():
     silent = ShapedFloor(flat_floor(80.0).sections, np.array([0.0, 1.0, 1.0]))
     with pytest.raises(InputError, match=r"^floor\b"):
-        steady_state(RIGID, silent, noise=False)
+        steady_state(RIGID.varied(**NOISELESS), silent)
     with pytest.raises(InputError, match=r"^forgetting\b"):
         steady_state(RIGID, flat_floor(80.0), forgetting=1.0)
 

@@ -28,10 +28,10 @@ SHOWN = ("passive, PID", "skyhook", "feedforward", "observer", "observer, AD", "
 COLOURS = (figures.BLUE, figures.ORANGE, figures.GREEN, figures.PURPLE, figures.SKY)
 
 
-def waterfall(floor: str, sensor: float | None = None) -> dict[str, ErrorBudget]:
+def waterfall(floor: str) -> dict[str, ErrorBudget]:
     """The budget of each of `STEPS` and `ALTERNATIVES` on a floor."""
     steps = STEPS | ALTERNATIVES
-    return {name: budget_of(machine(**steps[name]), floor, sensor) for name in SHOWN}
+    return {name: budget_of(machine(**steps[name]), floor) for name in SHOWN}
 
 
 def paint_waterfall(budgets: dict[str, ErrorBudget], title: str = ""):

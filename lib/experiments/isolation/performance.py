@@ -135,7 +135,7 @@ def record_cases(
 
 
 def exact_transmissibility(
-    twin: Twin, frequencies_hz: ArrayLike, *, weights: ArrayLike | None = None, feedback: bool = True
+    twin: Twin, frequencies_hz: ArrayLike, *, weights: ArrayLike | None = None
 ) -> Complex128[np.ndarray, "3 3 frequencies"]:
     """Transmissibility from floor to platform in z, θx, θy without any noise, from the model's responses.
 
@@ -144,7 +144,7 @@ def exact_transmissibility(
     axes = central_axes(twin.rig)
     if np.linalg.matrix_rank(axes.floor_readings, 1e-9) < 3:
         raise InputError("floor_sensors do not fix z, θx and θy of the plate; place three apart")
-    whole = responses(twin, frequencies_hz, feedback).transmissibility(weights)
+    whole = responses(twin, frequencies_hz).transmissibility(weights)
     return (axes.platform @ whole @ axes.floor_readings).transpose(1, 2, 0)
 
 
@@ -159,7 +159,6 @@ def expected_density(
     frequencies_hz: ArrayLike,
     *,
     weights: ArrayLike | None = None,
-    feedback: bool = True,
 ) -> dict[str, Float64[np.ndarray, "3 frequencies"]]:
     """Spectrum that the platform's sensors show in z, θx, θy by cause, without simulation and without mains.
 
@@ -167,13 +166,13 @@ def expected_density(
     skyhook loop), each (m/s^2)^2/Hz or (rad/s^2)^2/Hz; they are independent, so their sum is the spectrum.
     """
     axes = central_axes(twin.rig)
-    paths = responses(twin, frequencies_hz, feedback)
+    paths = responses(twin, frequencies_hz)
     command = paths.feedforward(weights)
     by_floor = axes.platform @ (paths.primary + command)
     by_sensors = axes.platform @ command
     # n1 reaches the reading directly and through the loop: (I + L)^-1 = I - P2 K.
     rate = twin.instruments.sample_rate
-    skyhook = feedback * signal.freqz_sos(twin.skyhook_filter, paths.frequencies_hz, fs=rate)[1]
+    skyhook = signal.freqz_sos(twin.skyhook_filter, paths.frequencies_hz, fs=rate)[1]
     sensitivity = np.eye(twin.outputs) - paths.secondary * skyhook[:, None, None]
     by_output = axes.platform @ (sensitivity * paths.conditioning[:, None, None])
     return {

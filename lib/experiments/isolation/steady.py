@@ -19,7 +19,6 @@ def steady_state(
     floor: ShapedFloor | SpectralFloor,
     *,
     forgetting: float = FORGETTING,
-    noise: bool = True,
     frequencies_hz: ArrayLike | None = None,
 ) -> Steady:
     """Fixed point, covariance and mean convergence of FeLMS and FeRLS on a floor with independent sensors.
@@ -36,8 +35,8 @@ def steady_state(
         paths,
         _trapezoid(f),
         power[:, :, None] * np.eye(power.shape[1]),
-        noise * twin.instruments.floor_noise,
-        noise * twin.instruments.platform_noise,
+        twin.instruments.floor_noise,
+        twin.instruments.platform_noise,
         forgetting,
     )
 

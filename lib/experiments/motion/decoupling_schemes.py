@@ -171,10 +171,10 @@ def with_compensation(plant: ModalModel, settings: Settings) -> StateModel:
     )
 
 
-def sample_beam(rng: np.random.Generator, spacing: float = 0.1) -> ModalModel:
-    """A tapered beam with its five actuators and two sensors anywhere, but `spacing` apart at least."""
+def sample_beam(rng: np.random.Generator) -> ModalModel:
+    """A tapered beam with its five actuators and two sensors anywhere, but a tenth apart at least."""
     modes = 2 + len(beam_parameters()["published"]["frequencies_hz"])
-    actuators, sensors = (sample_places(rng, count, spacing) for count in (modes, 2))
+    actuators, sensors = (sample_places(rng, count, 0.1) for count in (modes, 2))
     return beam(actuators, sensors, taper=rng.uniform(-1, 1))
 
 

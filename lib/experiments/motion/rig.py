@@ -49,15 +49,15 @@ def _integrals(degree: int):
     )
 
 
-def plate_modes(aspect: float, poisson: float, modes: int, degree: int = DEGREE) -> PlateModes:
+def plate_modes(aspect: float, poisson: float, modes: int) -> PlateModes:
     r"""Flexible modes of a thin free plate, which minimise the energies of Kirchhoff's theory.
 
     The strain energy is :math:`\frac D2\int w_{xx}^2 + w_{yy}^2 + 2\nu w_{xx}w_{yy} + 2(1-\nu)w_{xy}^2`; the free
     edges are its natural boundary conditions, so polynomials need not meet any. Modes of unlike symmetry are
     computed apart, which also tells modes of equal frequency apart.
     """
-    size = degree + 1
-    bend, slope, cross = _integrals(degree)
+    size = DEGREE + 1
+    bend, slope, cross = _integrals(DEGREE)
     eye, ratio = np.eye(size), 1 / aspect
     stiffness = 16 * (
         np.kron(bend, eye)

@@ -85,10 +85,8 @@ def _estimates(matrix, target, pair) -> dict[str, np.ndarray]:
     }
 
 
-def paint_windows(
-    lengths: list[float], found: dict[str, list[np.ndarray]], label: str = "training window (samples)"
-):
-    """Out-of-sample residual against the length of the training window, or what `label` says; bars are quartiles."""
+def paint_windows(lengths: list[float], found: dict[str, list[np.ndarray]]):
+    """Out-of-sample residual against the length of the training window; bars are quartiles."""
     figure, axes = figures.new(height=3.8)
     above, places = [], np.arange(len(lengths))
     for number, (name, colour, style) in enumerate(METHODS):
@@ -111,7 +109,7 @@ def paint_windows(
         }
         axes.errorbar(beside, middle, label=name, **look)
     axes.axhline(1, color=figures.GREY, linewidth=0.8, label="predicting zero")
-    axes.set(xlabel=label, ylabel="rms residual / rms output", ylim=(0.4, 1.6))
+    axes.set(xlabel="training window (samples)", ylabel="rms residual / rms output", ylim=(0.4, 1.6))
     axes.set_xticks(places, [f"{length:g}" for length in lengths])
     if above:
         axes.text(0.01, 0.97, "\n".join(above), transform=axes.transAxes, va="top", fontsize=8)

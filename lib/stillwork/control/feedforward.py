@@ -9,7 +9,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.bounds import NonNegative
-from stillwork.base.checks import InputError, pluralise, require_array, require_choice
+from stillwork.base.checks import InputError, pluralise, require_array
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.control.loops import INPUTS, OUTPUTS, require_deviations, require_stable
 from stillwork.control.setpoint import MoveLimits, Setpoint, largest_of
@@ -362,7 +362,7 @@ def tracking_error(
 
 
 @checked
-def fit_feedforward(loop: StateModel, setpoint: Setpoint, basis: tuple[str, ...] = BASIS) -> Feedforward:
+def fit_feedforward(loop: StateModel, setpoint: Setpoint) -> Feedforward:
     """Feedforward gains that minimise the sum of squared errors over the whole move.
 
     The error is linear in the gains, so least squares on simulated moves is where the iterative data-based
@@ -373,8 +373,6 @@ def fit_feedforward(loop: StateModel, setpoint: Setpoint, basis: tuple[str, ...]
     loop : StateModel
         From (r, u0) to e_true, see `error_loop`.
     setpoint : Setpoint
-    basis : tuple of str
-        Gains to be fitted; the others are zero.
 
     Returns
     -------
@@ -384,7 +382,7 @@ def fit_feedforward(loop: StateModel, setpoint: Setpoint, basis: tuple[str, ...]
     Raises
     ------
     InputError
-        When the basis is empty, or the move does not excite a gain (a setpoint at rest).
+        When the move does not excite a gain (a setpoint at rest).
 
     References
     ----------
@@ -398,10 +396,6 @@ def fit_feedforward(loop: StateModel, setpoint: Setpoint, basis: tuple[str, ...]
     >>> round(control.fit_feedforward(control.error_loop(loop), move).acceleration, 6)  # kg
     10.0
     """
-    if not basis:
-        raise InputError(f"basis is empty; choose from {BASIS}")
-    for name in basis:
-        require_choice("basis", name, BASIS)
     moved = _moved(loop, setpoint.sample_time)
 
     def error(**gains: float) -> Float64[np.ndarray, " samples"]:
@@ -410,8 +404,8 @@ def fit_feedforward(loop: StateModel, setpoint: Setpoint, basis: tuple[str, ...]
     base = error()
     # A gain's part by itself: taken from a whole error it would be lost in that where the units make it small.
     moved = moved._replace(drive=0 * moved.drive, loop=replace(loop, d=loop.d * [0.0, 1.0]))
-    gains = least_squares(np.array([error(**{name: 1.0}) for name in basis]).T, -base)
-    return Feedforward(**dict(zip(basis, gains, strict=True)))
+    gains = least_squares(np.array([error(**{name: 1.0}) for name in BASIS]).T, -base)
+    return Feedforward(**dict(zip(BASIS, gains, strict=True)))
 
 
 @checked
@@ -424,7 +418,9 @@ def least_squares(
         raise InputError("setpoint does not move; the feedforward gains cannot be distinguished")
     gains, _, rank, _ = np.linalg.lstsq(np.asarray_chkfinite(matrix / sizes), wanted, rcond=1e-12)
     if rank < matrix.shape[1]:
-        raise InputError("basis: these gains cannot be distinguished by this move; leave one out")
+        raise InputError(
+            "setpoint: its gains cannot be distinguished by this move; give one with other jerk and snap"
+        )
     return (gains / sizes).tolist()
 
 

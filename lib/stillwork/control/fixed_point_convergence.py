@@ -21,10 +21,9 @@ def iterate(
     steps: Count,
     *,
     response_gain: float = 1.0,
-    response_offset: float = 0.0,
     start: float | None = None,
 ) -> Float64[np.ndarray, " steps"]:
-    """The sequence deformed -> G(deformed, f(deformed), desired) for f(x) = gain x + offset, m/s^2.
+    """The sequence deformed -> G(deformed, f(deformed), desired) for f(x) = gain x, m/s^2.
 
     Static: the desired acceleration is constant and measured without delay, as in Banach's theorem.
     """
@@ -32,7 +31,7 @@ def iterate(
     sequence, packed = np.empty(steps), transformation.packed
     for i in range(steps):
         sequence[i] = value
-        value = deform_packed(packed, value, response_gain * value + response_offset, desired, desired)
+        value = deform_packed(packed, value, response_gain * value, desired, desired)
     return sequence
 
 

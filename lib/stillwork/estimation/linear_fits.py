@@ -4,12 +4,10 @@ All of them but Huber's are the same for any orthogonal transformation of the ro
 decomposition, too.
 """
 
-from typing import Annotated
-
 import numpy as np
 from jaxtyping import Float64
 
-from stillwork.base.bounds import Matrix, Vector, within
+from stillwork.base.bounds import Matrix, Vector
 from stillwork.base.checks import InputError, pluralise, require_array
 from stillwork.base.validation import checked
 from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
@@ -134,14 +132,13 @@ def hinfinity_estimate(
     variance: float,
     size: float,
     forgetting: float = 1.0,
-    margin: Annotated[float, within(above=1.0)] = 1.1,
 ) -> Float64[np.ndarray, " unknowns"]:
     """The parameters at the end by the a-posteriori H-infinity filter of all of them, near its smallest level.
 
-    `variance` is that of the noise, `size` the squared norm of the parameters, `margin` the level over the smallest
-    that there is. Hassibi, Sayed and Kailath (1999), chapter 4.
+    `variance` is that of the noise, `size` the squared norm of the parameters; the level is 1.1
+    times the smallest that there is. Hassibi, Sayed and Kailath (1999), chapter 4.
     """
     wanted = np.eye(matrix.shape[1])
     model = hinfinity_model(matrix, variance, size * wanted / len(wanted), forgetting)
-    gains = hinfinity_gains(model, wanted, margin * smallest_level(model, wanted, 1e-2))
+    gains = hinfinity_gains(model, wanted, 1.1 * smallest_level(model, wanted, 1e-2))
     return last_estimate(gains, target, forgetting)

@@ -28,7 +28,7 @@ from stillwork.base.algebra import (
     plus_row,
     take_in_turn,
 )
-from stillwork.base.bounds import Positive, within
+from stillwork.base.bounds import within
 from stillwork.base.checks import InputError, require_array, require_finite_run
 from stillwork.base.kernels import inlined_kernel, kernel, pasted_kernel
 from stillwork.base.validation import by_value, check_fields, checked, made
@@ -119,15 +119,15 @@ def sensitivity_gains(
 
 
 @checked(missing=True)
-def regularised_gains(model: TimeVaryingModel, bound: NormBound, margin: Positive = 1.0) -> FilterGains:
-    r"""Robust regularised least-squares filter (5.21) with the rule of thumb :math:`\lambda = (1+\alpha)\lambda_l`.
+def regularised_gains(model: TimeVaryingModel, bound: NormBound) -> FilterGains:
+    r"""Robust regularised least-squares filter (5.21) with the rule of thumb :math:`\lambda = (1+\alpha)\lambda_l`, :math:`\alpha=1`.
 
-    The thesis takes a margin :math:`\alpha` of 1. The rule does not see how large E is: with one output and margin 1
+    The rule does not see how large E is: with one output
     it halves R even for errors that vanish. Only the exact search, or no uncertainty, returns to the Kalman
     filter.
     """
     rows, m = bound_rows(model, bound)
-    return _penalised(model, rows, (1 + margin) * lower_limit(model, rows, m), m)
+    return _penalised(model, rows, 2 * lower_limit(model, rows, m), m)
 
 
 @checked

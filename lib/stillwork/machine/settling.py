@@ -110,10 +110,9 @@ def learn(
     band_hz: tuple[float, float],
     spread: float,
     expected: tuple[float, float],
-    seed: int = 0,
 ) -> Learning:
     """Weights from zero on the record, through the written C, each isolator from another time of the record on."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     ends = [
         perturbed(design.isolator, spread, lambda count: rng.choice([-1.0, 1.0], count)) for _ in range(ENDS)
     ]
@@ -123,7 +122,7 @@ def learn(
     with controller(design, files, name, pause_s) as (run, _):
         for k, isolator in enumerate((design.isolator, *ends)):
             times = {"seconds": length, "start_s": k * floor.duration / (ENDS + 1)}
-            course = Course(design, isolator, floor, pause_s, band_hz, **times, lines=LINES, seed=seed + k)
+            course = Course(design, isolator, floor, pause_s, band_hz, **times, lines=LINES, seed=k)
             weights = np.zeros_like(design.steady.weights)
             for kept, begins in zip(powers, (course.lead, course.samples), strict=True):
                 since = course.lead + course.count - last if begins == course.lead else course.samples
