@@ -475,10 +475,10 @@ class ClaimsTable:
         return [head, *((*claim.row(3), claim.shown_here) for claim in self.shown)]
 
     def _after(self) -> list[str]:
-        """Where the others stand; then each reason once, with those that share it."""
+        """Where the others stand; then each reason once, with those that share it: reasons are of the accepted settings."""
         shared: dict[str, list[str]] = {}
         for claim in self.shown:
-            if claim.entry.reason and claim.shown_here not in AGREEMENT:
+            if claim.entry.reason and claim.shown_here not in AGREEMENT and not self.note:
                 shared.setdefault(claim.entry.reason, []).append(claim.entry.id)
         left = len(self.claims) - len(self.shown)
         return [f"{left} more: on the page of the site (`make site`)."] * bool(left) + [
@@ -494,9 +494,7 @@ class ClaimsTable:
         after = self._after()
         return "\n".join([*self.note.splitlines(), *lines, *(["", *after] if after else [])])
 
-    def _repr_html_(self) -> str | None:
-        if paths.in_batch():  # a committed notebook holds text
-            return None
+    def _repr_html_(self) -> str:
         head, *body = self._rows()
         lines = ["".join(f"<th>{word}</th>" for word in head)]
         lines += ["".join(f"<td>{escape(word)}</td>" for word in row) for row in body]

@@ -307,9 +307,15 @@ def same_outputs(now: list[dict], before: list[dict]) -> bool:
     if len(now) != len(before):
         return False
     return all(
-        a["output_type"] == b["output_type"] and same_text(printed(a), printed(b))
+        a["output_type"] == b["output_type"]
+        and _is_table(a) == _is_table(b)
+        and same_text(printed(a), printed(b))
         for a, b in zip(now, before, strict=True)
     )
+
+
+def _is_table(output: dict) -> bool:
+    return "text/html" in output.get("data", {})
 
 
 def printed(output: dict) -> str:

@@ -15,8 +15,8 @@ from workbook.parameters import Parameter, read_parameters
 
 LISTED = 12  # parameters that are named where none is near
 PICTURES = 3  # that a committed notebook shows
-# What is kept of an output; Markdown is a sentence of `Page.conclude`.
-TEXT = ("text/plain", "text/markdown", APPENDIX)
+# What is kept of an output; Markdown is a sentence of `Page.conclude`, HTML a table of `Page.show` or the claims.
+TEXT = ("text/plain", "text/markdown", "text/html", APPENDIX)
 SAVED = re.compile(r"([\w.-]+)\.png, \1\.csv")  # the text of a saved figure
 
 # A notebook's own, in the form that is committed: no version of whatever ran it.
@@ -155,7 +155,7 @@ def assign(notebooks: list[Notebook], settings: dict[str, str]) -> list[tuple[No
 
 
 def cleaned(notebook: dict, executed: dict) -> dict:
-    """`notebook` with the text outputs of `executed`: no pictures, widgets, HTML, times or random ids."""
+    """`notebook` with the text outputs of `executed`: no pictures, widgets, times or random ids."""
     outputs = {cell["id"]: cell for cell in executed["cells"] if cell["cell_type"] == "code"}
     cells = []
     for cell in notebook["cells"]:

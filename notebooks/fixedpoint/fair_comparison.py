@@ -551,6 +551,7 @@ def scaled_covariances(model: Plant, factors: Sequence[float] | np.ndarray) -> d
 def appendix(
     page,
     *,
+    tuned: dict[str, dict[str, Tuned]],
     trajectory: Trajectory,
     noise: Noise,
     seed: int,
@@ -562,6 +563,8 @@ def appendix(
     Parameters
     ----------
     page : workbook.appendix.Appendix
+    tuned : dict
+        By case: what each filter's search found.
     trajectory : Trajectory
     noise : Noise
     seed : int
@@ -574,6 +577,21 @@ def appendix(
     _of_covariances(page, settings, trajectory, noise, seed)
     _of_sigma_points(page, trajectory.sample_time, noise, seed)
     _of_cost(page, studies["Gaussian noise, tuned for q'"])
+    edges = [
+        f"{called(name)} ({', '.join(best.at_edge).replace('_', ' ')})"
+        for case in tuned.values()
+        for name, best in case.items()
+        if best.at_edge
+    ]
+    page.text("## Ends of the ranges")
+    page.conclude(
+        "{count} of {all} searches end at an edge of their ranges, so a wider one might give more: {which}.",
+        "None of {all} searches ends at an edge of its ranges.",
+        when=len(edges) > 0,
+        count=len(edges),
+        all=sum(map(len, tuned.values())),
+        which="; ".join(dict.fromkeys(edges)),
+    )
 
 
 FACTORS = (1.0, 1e-1, 1e-2, 1e-3, 1e-9)  # of Q and R; the last stands for none, which no filter can have

@@ -49,6 +49,13 @@ def line_slope(axis, label: str, low: float, high: float) -> float:
     return slope(x[part], 10 ** (level[part] / 20))
 
 
+def slopes_of(axis, position: int) -> dict[str, float]:
+    """Slopes of S_O, by the ledger's names: with and without MC at lowest frequency, with MC below 1 Hz."""
+    parts = {"original": ("no observer", 1e-4, 1e-3), "compensation": (f"mass {position}", 1e-4, 1e-3)}
+    parts["compensation-below-1-hz"] = (f"mass {position}", 0.1, 1.0)
+    return {claim: line_slope(axis, *part) for claim, part in parts.items()}
+
+
 # === The lost integrator ==========================================================================================
 
 

@@ -17,7 +17,7 @@ from workbook.site.metadata import papers
 from workbook.tasks import Task
 
 NOTEBOOKS = select()
-FORBIDDEN = ("text/html", "papermill", "injected-parameters", "widget-view", str(paths.root()))
+FORBIDDEN = ("papermill", "injected-parameters", "widget-view", str(paths.root()))
 
 
 def cells(notebook, kind="code"):

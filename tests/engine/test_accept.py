@@ -73,9 +73,10 @@ def test_accepts_a_build(built):
     assert shown["text/plain"] == ["fig-1.png, fig-1.csv"]
     png = (toy.root / "figures/isolation/01-first/fig-1.png").read_bytes()
     assert base64.b64decode(shown["image/png"]) == png
-    assert "inside" in "".join(cells["claims"]["outputs"][0]["data"]["text/plain"])
+    for kind in ("text/plain", "text/html"):
+        assert "inside" in "".join(cells["claims"]["outputs"][0]["data"][kind])
     assert cells["parameters"]["metadata"] == {"tags": ["parameters"]}
-    for forbidden in ("papermill", "text/html", str(toy.root), "injected"):
+    for forbidden in ("papermill", str(toy.root), "injected"):
         assert forbidden not in text
 
     readme = (toy.root / "README.md").read_text()
@@ -165,7 +166,7 @@ def test_two_at_once_are_refused(tmp_path, monkeypatch, capsys, command):
     assert "another build or accept of this checkout is running" in capsys.readouterr().err
 
 
-def test_cleaning_keeps_text_only():
+def test_cleaning_keeps_text_and_tables():
     source = {
         "cells": [cell("a", "x"), cell("b", "# t", "markdown")],
         "metadata": {"kernelspec": {"name": "odd"}},
@@ -185,7 +186,11 @@ def test_cleaning_keeps_text_only():
     code, text = cleaned(source, ran)["cells"]
     assert code["outputs"] == [
         {"output_type": "stream", "name": "stdout", "text": "said\n"},
-        {"output_type": "display_data", "data": {"text/plain": "<Figure>"}, "metadata": {}},
+        {
+            "output_type": "display_data",
+            "data": {"text/plain": "<Figure>", "text/html": "<b>"},
+            "metadata": {},
+        },
         {"output_type": "stream", "name": "stdout", "text": ["more\n", "and more\n", "lines\n"]},
     ]
     assert text == cell("b", "# t", "markdown")
