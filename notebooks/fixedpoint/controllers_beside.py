@@ -504,6 +504,11 @@ def paint_ratios(found: dict[str, dict[str, np.ndarray]]):
             for place, errors in zip(places, by_law[law], strict=True):
                 if lost := int((errors == 1.0).sum()):
                     style = {"fontsize": 7, "color": COLOURS[law], "va": "center", "ha": "right"}
+                    style["bbox"] = {
+                        "facecolor": "white",
+                        "edgecolor": "none",
+                        "pad": 1,
+                    }  # no line through it
                     axes.annotate(
                         f"{lost} of {errors.size} diverge",
                         (0.99, place),

@@ -64,6 +64,7 @@ def paint_cost(speed: pd.Series, error: pd.Series, unstable: pd.Series):
     axes[-1].set_xscale("log")
     axes[0].set_yticks(range(len(names)), names)
     axes[0].invert_yaxis()
+    figure.legend(axes[0].lines[1:], ["the Kalman filter"], loc="outside lower center")
     return figure
 
 

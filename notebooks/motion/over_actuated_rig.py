@@ -233,7 +233,8 @@ def paint_tracking_errors(
     for k, axis in enumerate(axes[:, 0]):
         axis.set_ylabel(f"error in ${MOTIONS[k]}$ ({'µm' if k == 0 else 'µrad'})")
     figures.label(axes, "time (s)")
-    figures.legend_below(axes[0, 1], columns=3)
+    names = "no observer", "as titled", "plus and minus the printed rms"
+    figure.legend(axes[0, 1].lines[:3], names, loc="outside lower center", ncols=3)
     return figure
 
 
