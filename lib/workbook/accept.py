@@ -70,13 +70,6 @@ def _print_summary(claims: list[Claim], built: list[Task]) -> None:
     for task in built:
         if not is_traceable(_provenance(content_of(task.committed / "provenance.json"))) and commit():
             print(f"made from what no commit holds: {task.label}; commit it, then accept again")
-        for file in sorted(task.committed.rglob("*")):
-            if (
-                file.is_file()
-                and not file.name.endswith(OWN)
-                and not (task.target / file.relative_to(task.committed)).exists()
-            ):
-                print(f"of no build, and left there: {file.relative_to(paths.root())}")
 
 
 def _take_over(task: Task, comparison: Comparison) -> Iterator[Path]:

@@ -5,13 +5,13 @@ cells lead to (`workbook.dependencies`), the pins of environment.txt of the pack
 processor's settings. Only of the ledger it is the build that says which entries the notebook claims.
 """
 
-import json
 import platform
-import tomllib
 from functools import cache, lru_cache
 from pathlib import Path
 
 from workbook import paths
+from workbook.checks import InputError
+from workbook.claims import load_entries
 from workbook.dependencies import dependencies, file_digest, names_ledger, normal, packages
 from workbook.environment import pins
 from workbook.notebooks import Notebook
@@ -100,26 +100,15 @@ def changes(before: dict[str, str], now: dict[str, str]) -> list[str]:
 
 def ledger_inputs(topic: str) -> dict[str, str]:
     """A digest of every entry of a topic; of the whole file where it is malformed."""
-    try:
-        return dict(_entries(topic, paths.data(topic, "published.toml").read_bytes()))
-    except FileNotFoundError:
-        return {}
+    file = paths.data(topic, "published.toml")
+    return dict(_entries(topic, file.read_bytes())) if file.is_file() else {}
 
 
-@lru_cache(maxsize=32)  # needed by every notebook of a topic; parsing takes 20 ms
+@lru_cache(maxsize=32)  # needed by every notebook of a topic
 def _entries(topic: str, text: bytes) -> dict[str, str]:
     try:
-        tree = tomllib.loads(text.decode())
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError):  # the notebooks will report what is wrong with it
+        return {
+            f"{LEDGER}{name}": digest(repr(entry).encode()) for name, entry in load_entries(topic).items()
+        }
+    except InputError:  # the notebooks will report what is wrong with it
         return {f"{LEDGER}{topic}": digest(text)}
-    found = {}
-
-    def walk(branch, path):
-        if not isinstance(branch, dict) or "place" in branch:
-            found[f"{LEDGER}{'.'.join(path)}"] = digest(json.dumps(branch, default=str).encode())
-        else:
-            for name, twig in branch.items():
-                walk(twig, (*path, name))
-
-    walk(tree, ())
-    return found

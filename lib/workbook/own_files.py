@@ -20,7 +20,6 @@ def machines() -> dict[str, tuple[str, str]]:
 
 def model_file(path: Path) -> Iterator[str | tuple[str, dict]]:
     """The topics that can use a TOML file as a machine, and their notebooks, each with its settings."""
-    table = read_toml(path)
     lacking, known = {}, machines()
     for topic, (reader, _) in known.items():
         module, _, function = reader.partition(":")
@@ -34,15 +33,9 @@ def model_file(path: Path) -> Iterator[str | tuple[str, dict]]:
             yield f"a machine of the topic {topic}: {module}.{function}({str(path)!r})"
             yield from _takers(path, topic)
     if len(lacking) == len(known):
-        templates = {topic: paths.data(topic, name) for topic, (_, name) in known.items()}
-        meant = [
-            topic for topic, file in templates.items() if table.keys() & read_toml(file).keys() - {"name"}
-        ]
-        if len(meant) == 1:
-            yield f"not a machine of the topic {meant[0]}: {lacking[meant[0]]}"
-        else:
-            begin = " or ".join(file.relative_to(paths.root()).as_posix() for file in templates.values())
-            yield f"matches the machine of no notebook; start from a copy of {begin}"
+        templates = (paths.data(topic, name).relative_to(paths.root()) for topic, (_, name) in known.items())
+        yield f"matches the machine of no notebook; start from a copy of {' or '.join(map(str, templates))}"
+        yield from (f"not a machine of the topic {topic}: {error}" for topic, error in lacking.items())
 
 
 def _takers(path: Path, topic: str) -> Iterator[tuple[str, dict]]:

@@ -1,7 +1,6 @@
-"""Seeded Monte Carlo: one trial, many independent random streams, any executor, intervals."""
+"""Seeded Monte Carlo: one trial, many independent random streams, intervals."""
 
 from collections.abc import Callable, Mapping
-from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
 
@@ -43,19 +42,16 @@ def run_study(
     seed: int,
     *,
     together: int = 1,
-    executor: Executor | None = None,
     progress: bool = True,
     **settings,
 ) -> Study:
     """Run ``trial(rng, **settings)`` once for each of `runs` independent random streams.
 
-    The result does not depend on the executor, on its number of workers or on their order.
-
     Parameters
     ----------
     trial : callable
         Takes a `numpy.random.Generator` and the settings; returns a mapping from quantity to number or
-        array. A function of a module when the executor has other processes.
+        array.
     runs : int
         Number of trials.
     seed : int
@@ -63,8 +59,6 @@ def run_study(
     together : int
         How many trials one call makes: above 1 the trial takes a list of that many generators, at the end fewer, and
         returns a list with a mapping for each.
-    executor : concurrent.futures.Executor, optional
-        Threads, processes or ``distributed.Client.get_executor()``; without one, trials run in turn.
     progress : bool
         Show a progress bar, where a person is looking.
     **settings
@@ -80,7 +74,7 @@ def run_study(
     streams = np.random.SeedSequence(seed).spawn(runs)
     calls = [streams[first : first + together] for first in range(0, runs, together)]
     one = partial(_run_some, trial, settings, together > 1)
-    outcomes = map(one, calls) if executor is None else _in_order(executor, one, calls)
+    outcomes = map(one, calls)
     if progress and not in_batch():
         from tqdm.auto import tqdm
 
@@ -96,16 +90,6 @@ def run_study(
 def _run_some(trial, settings, several, streams) -> list[dict]:
     draws = [np.random.default_rng(stream) for stream in streams]
     return [dict(each) for each in (trial(draws, **settings) if several else [trial(draws[0], **settings)])]
-
-
-def _in_order(executor, one, calls):
-    futures = [executor.submit(one, call) for call in calls]
-    try:
-        for future in futures:
-            yield future.result()
-    finally:
-        for future in futures:
-            future.cancel()
 
 
 def mean_interval(values, level: float = 0.95) -> tuple[float, float]:

@@ -1,5 +1,3 @@
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -13,20 +11,8 @@ from workbook.studies import mean_interval, proportion_interval, run_study, spre
 RUNS, SEED = 23, 5
 
 
-def study(executor=None, **settings):
-    return run_study(trials.draw, RUNS, SEED, executor=executor, progress=False, **settings)
-
-
-def assert_same(one, other):
-    assert one.values.keys() == other.values.keys()
-    for quantity in one.values:
-        assert one[quantity].tobytes() == other[quantity].tobytes()
-
-
-@pytest.mark.parametrize(("kind", "workers"), [(ThreadPoolExecutor, 3), (ProcessPoolExecutor, 2)])
-def test_the_result_depends_neither_on_the_executor_nor_on_its_workers(kind, workers):
-    with kind(workers) as executor:
-        assert_same(study(executor), study())
+def study(**settings):
+    return run_study(trials.draw, RUNS, SEED, progress=False, **settings)
 
 
 def test_each_trial_has_the_stream_that_the_docstring_promises():
@@ -41,10 +27,9 @@ def test_each_trial_has_the_stream_that_the_docstring_promises():
     assert done["path"].shape == (RUNS, 2)
 
 
-@pytest.mark.parametrize("executor", [None, "threads"])
-def test_an_error_in_a_trial_comes_through(executor):
-    with ThreadPoolExecutor(2) as pool, pytest.raises(ValueError, match="convergence"):
-        run_study(trials.failing, 3, 1, executor=pool if executor else None, progress=False)
+def test_an_error_in_a_trial_comes_through():
+    with pytest.raises(ValueError, match="convergence"):
+        run_study(trials.failing, 3, 1, progress=False)
 
 
 def coverage(hits):

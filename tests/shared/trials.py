@@ -1,4 +1,4 @@
-"""Trials for studies; in a module of their own, so that other processes can import them."""
+"""Trials for studies."""
 
 
 def draw(rng, mean=0.0, size=3):
