@@ -168,7 +168,9 @@ def hold_contest(
             joined, recorded = joined.join(found, how="inner"), pd.concat([recorded, own])
     joined = joined.reset_index()
     ranked = standings(joined)
-    for line in answers(ranked, [name for name in checked if name not in disqualified]):
+    for line in answers(
+        ranked, [name for name in checked if name not in disqualified] or list(ranked["observer"][:1])
+    ):
         print(line)
     if verbose or not files:
         print(ranked.to_string(index=False))

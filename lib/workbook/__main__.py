@@ -5,7 +5,7 @@ import os
 import sys
 from importlib import import_module
 
-from workbook.checks import is_refusal, one_line, require_number
+from workbook.checks import is_refusal, one_line
 
 # A grammar of addresses that jsonschema builds for a second or two when a notebook format is loaded, if it can be
 # had; nothing here holds an address against it.
@@ -73,18 +73,18 @@ def model_file(path):
     return model_file(path)
 
 
-def _minutes(text: str) -> float:
-    try:
-        return require_number("budget", float(text), above=0)
-    except ValueError:  # an `InputError` among them
-        raise argparse.ArgumentTypeError(f"{text!r} is not a time; give minutes, more than 0") from None
+def _above_zero(kind: type):
+    """Reads a whole number or any number above 0."""
 
+    def read(text: str):
+        try:
+            if 0 < (value := kind(text)) < 1e9:
+                return value
+        except ValueError:
+            pass
+        raise argparse.ArgumentTypeError(f"{text!r} is no {'whole ' * (kind is int)}number above 0; give one")
 
-def _count(text: str) -> int:
-    # Decimal alone: int() takes no superscripts, and not more than some thousand digits.
-    if not text.isdecimal() or len(text) > 9 or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"{text!r} is no whole number; give 1 or more")
-    return int(text)
+    return read
 
 
 def _named(text: str) -> str:
@@ -138,17 +138,17 @@ def _parser() -> argparse.ArgumentParser:
     add("targets", nargs="*", metavar="TOPIC[/NOTEBOOK]", help="by default everything")
     set_by = "set a parameter; the results go to build/variants/"
     add("-p", dest="settings", metavar="NAME=VALUE", action="append", default=[], help=set_by)
-    add("--jobs", type=_count, metavar="N", help="kernels at once (default: one a core)")
+    add("--jobs", type=_above_zero(int), metavar="N", help="kernels at once (default: one a core)")
     add("--scheduler", **cluster)
     add("--force", action="store_true", help="build what is up to date, too")
     add("--why", action="store_true", help="list what would be built, and why; build nothing")
 
     add = own["choices"].add_argument
     add("topic", nargs="?", metavar="TOPIC")
-    add("--jobs", type=_count, metavar="N", help="processes (default: one a core)")
+    add("--jobs", type=_above_zero(int), metavar="N", help="processes (default: one a core)")
     add("--scheduler", **cluster)
     until = "start no combination after this time; run again to continue"
-    add("--budget", dest="budget_min", type=_minutes, metavar="MINUTES", help=until)
+    add("--budget", dest="budget_min", type=_above_zero(float), metavar="MINUTES", help=until)
     changed = "only studies that were never run or of which a sampled value moved"
     add("--changed", action="store_true", help=changed)
     add("--study", type=_named, metavar="NAME", help="only this study of the topic, all of its combinations")
@@ -157,7 +157,7 @@ def _parser() -> argparse.ArgumentParser:
 
     add = own["settings"].add_argument
     add("topic", nargs="?", metavar="TOPIC")
-    add("--jobs", type=_count, metavar="N", help="processes (default: one a core)")
+    add("--jobs", type=_above_zero(int), metavar="N", help="processes (default: one a core)")
 
     add = own["claims"].add_argument
     add("topic", nargs="?", metavar="TOPIC")

@@ -3,6 +3,7 @@
 import shlex
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
+from html import escape
 
 from workbook.checks import InputError, is_refusal, nearest, require_choice, require_number
 from workbook.paths import in_batch
@@ -278,7 +279,7 @@ def explore(draw: Callable, presets: Mapping[str, Mapping] | None = None, **cont
 
     def redraw(_change=None):
         settings = {name: controls[name].read(row.value) for name, row in rows.items()}
-        line.value = f"<code>{_escaped(build_line(notebook, parameters, settings, start))}</code>"
+        line.value = f"<code>{escape(build_line(notebook, parameters, settings, start))}</code>"
         try:
             picture.value = picture_of(**settings)
             at_home = settings == start
@@ -287,7 +288,7 @@ def explore(draw: Callable, presets: Mapping[str, Mapping] | None = None, **cont
             if not is_refusal(error):
                 raise
             # an impossible setting is an answer, not a crash
-            message.value = f"no picture: {_escaped(str(error))}"
+            message.value = f"no picture: {escape(str(error))}"
 
     def go_to(settings):
         for row in rows.values():
@@ -312,9 +313,3 @@ def explore(draw: Callable, presets: Mapping[str, Mapping] | None = None, **cont
     named = [widgets.HBox(buttons)] if buttons else []
     under = [line] if build_line(notebook, parameters, start, start) else []
     return widgets.VBox([*named, *marked, widgets.HBox([reset, message]), picture, *under])
-
-
-def _escaped(text: str) -> str:
-    from html import escape
-
-    return escape(text)

@@ -62,21 +62,15 @@ def _file_of(value: str) -> str | None:
 
 def present_again(before: dict[str, str]) -> dict[str, str]:
     """Of the inputs that a build saw, the entries of the ledger as they are now."""
-    named = {name for name in before if name.startswith(LEDGER)}
-    topics = {name.removeprefix(LEDGER).partition(".")[0] for name in named}
-    return {name: value for topic in topics for name, value in ledger_inputs(topic).items() if name in named}
+    return claimed_inputs({name.removeprefix(LEDGER) for name in before if name.startswith(LEDGER)})
 
 
 def claimed_inputs(claimed: set[str]) -> dict[str, str]:
     """The entries of the ledger with these ids; all that can be said of a topic whose file is malformed."""
-    entries = {
+    return {
         name: value
         for topic in {each.partition(".")[0] for each in claimed}
         for name, value in ledger_inputs(topic).items()
-    }
-    return {
-        name: value
-        for name, value in entries.items()
         if name.removeprefix(LEDGER) in claimed or "." not in name
     }
 

@@ -210,7 +210,7 @@ def test_a_file_named_by_a_parameter_is_an_input(toy):
         (["-p", "sed=3"], "no notebook here has a parameter 'sed'; did you mean 'seed'?"),
         (["-p", "seed=1.5"], "isolation/01-first: parameter seed is '1.5'; give an int (in the notebook: 1)"),
         (["isolaton"], "no notebook or topic 'isolaton'; did you mean 'isolation'?"),
-        (["--jobs", "0"], "argument --jobs: '0' is no whole number; give 1 or more"),
+        (["--jobs", "0"], "argument --jobs: '0' is no whole number above 0; give one"),
     ],
 )
 def test_wrong_input_is_refused_before_a_kernel_starts(toy, arguments, message, monkeypatch, capsys):

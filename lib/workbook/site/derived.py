@@ -1,6 +1,5 @@
 """Committed files that follow from others: README blocks, the index notebook, the manifest, what the papers conclude."""
 
-import json
 from collections import Counter
 from collections.abc import Callable
 from html import escape
@@ -114,22 +113,20 @@ def _index(pages: list[NotebookPage], _claims: list[Claim]) -> str:
 
 def _codecheck(pages: list[NotebookPage], _claims: list[Claim]) -> str:
     """The manifest of https://codecheck.org.uk: of each notebook the numbers that it holds against its paper."""
-    lines = ["---", f"version: {CODECHECK}", "paper:"]
-    lines += [f"  title: {_quoted(project()['description'])}", "  authors:"]
-    lines += [f"    - name: {_quoted(author['name'])}" for author in project()["authors"]]
-    lines.append("manifest:")
+    import yaml
+
     sources = {topic: paper["paper"] for topic, paper in papers().items()}
-    for page in pages:
-        if page.claims:
-            lines.append(f"  - file: figures/{page.name}/claims.json")
-            lines.append(f"    comment: {_quoted(f'{page.title}. {sources[page.topic]}')}")
-    return "\n".join([*lines, ""])
+    manifest = {
+        "version": CODECHECK,
+        "paper": {"title": project()["description"], "authors": project()["authors"]},
+        "manifest": [
+            {"file": f"figures/{page.name}/claims.json", "comment": f"{page.title}. {sources[page.topic]}"}
+            for page in pages
+            if page.claims
+        ],
+    }
+    return yaml.safe_dump(manifest, explicit_start=True, sort_keys=False, allow_unicode=True, width=1000)
 
 
 def _conclusions(_pages: list[NotebookPage], claims: list[Claim]) -> str:
     return page_of([(topic, f"{paper['title']}: {paper['by']}") for topic, paper in papers().items()], claims)
-
-
-def _quoted(text: str) -> str:
-    """A string of JSON is one of YAML."""
-    return json.dumps(text, ensure_ascii=False)

@@ -2,35 +2,37 @@
 
 import re
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cache
-from html.parser import HTMLParser
+from html import unescape
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
+TAG = re.compile(r"<(\w+)\b([^<>]*)>")
+ATTRIBUTE = re.compile(r'(?<![\w-])(href|src|id|name)="([^"]*)"')
 
-class _Page(HTMLParser):
-    """Links and places of a page."""
 
-    def __init__(self):
-        super().__init__()
-        self.links: list[tuple[str, str]] = []  # attribute, address
-        self.places: set[str] = set()
+@dataclass(frozen=True)
+class _Page:
+    """Links, each with its tag and attribute, and places of a page whose attributes stand in double quotes."""
 
-    def handle_starttag(self, tag, attributes):
-        for name, value in attributes:
-            if name in ("href", "src") and value is not None:
-                self.links.append((f"{tag} {name}", value))
-            if name in ("id", "name") and value:
-                self.places.add(value)
+    links: list[tuple[str, str]]
+    places: set[str]
+
+
+def _read(html: str) -> _Page:
+    found = [
+        (tag, name, unescape(value))
+        for tag, rest in TAG.findall(html)
+        for name, value in ATTRIBUTE.findall(rest)
+    ]
+    links = [(f"{tag} {name}", value) for tag, name, value in found if name in ("href", "src")]
+    return _Page(links, {value for _, name, value in found if name in ("id", "name")})
 
 
 def broken_links(site: Path) -> list[str]:
     """One line for each link that leads nowhere, and for each picture, style or script from outside the site."""
-    pages = {}
-    for file in sorted(site.rglob("*.html")):
-        pages[file] = _Page()
-        # Most tags are the colours of source code, which carry neither link nor place.
-        pages[file].feed(re.sub(r'</?span(?: class="[^"<>]*")?>', "", file.read_text(encoding="utf-8")))
+    pages = {file: _read(file.read_text(encoding="utf-8")) for file in sorted(site.rglob("*.html"))}
     inside = site.resolve()
 
     @cache  # of the thousands that the pages' navigation repeats

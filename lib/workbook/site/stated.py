@@ -68,25 +68,20 @@ def page_of(topics: Iterable[tuple[str, str]], claims: Sequence[Claim]) -> str:
 
 
 def _row(each: Stated, claims: list[Claim]) -> str:
-    found = "<br>".join(
-        (
-            f"[{claim.entry.quantity}](../notebooks/{claim.notebook}.ipynb)"
-            if claim.notebook
-            else claim.entry.quantity
-        )
-        + f": {our_quantity(claim) or 'not built'}"
-        + (
-            f" (printed {printed})"
-            if (printed := published_quantity(claim)) and printed != our_quantity(claim)
-            else ""
-        )
-        + (
-            f", agrees under {over.agree} of {over.tried}"
-            if (over := claim.over) and over.share is not None
-            else ""
-        )
-        for claim in claims
-    )
     proxy = f"<br>*by proxy: {each.proxy}*" if each.proxy else ""
-    cells = (each.place, each.says + proxy, found, verdict_of(claims))
+    cells = (each.place, each.says + proxy, "<br>".join(map(_found, claims)), verdict_of(claims))
     return f"| {' | '.join(cell.replace('|', '&#124;') for cell in cells)} |"
+
+
+def _found(claim: Claim) -> str:
+    quantity, ours, printed = (
+        claim.entry.quantity,
+        our_quantity(claim) or "not built",
+        published_quantity(claim),
+    )
+    text = f"[{quantity}](../notebooks/{claim.notebook}.ipynb)" if claim.notebook else quantity
+    text += f": {ours}" + (f" (printed {printed})" if printed not in ("", ours) else "")
+    over = claim.over
+    return (
+        text if over is None or over.share is None else f"{text}, agrees under {over.agree} of {over.tried}"
+    )
