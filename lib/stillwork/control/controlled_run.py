@@ -1,13 +1,13 @@
 """A run of the adaptive loop: what the plant meets, and the record of every coordinate."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from stillwork.base.bounds import Positive
+from stillwork.base.bounds import Positive, within
 from stillwork.base.checks import InputError, require_array, require_number
 from stillwork.base.validation import by_value, checked
 from stillwork.control.adaptation_loop import (
@@ -134,12 +134,11 @@ def make_course(
     noise: np.ndarray,
     disturbance: np.ndarray,
     change: tuple[float, ArrayLike] | None,
-    bound: float,
+    bound: Annotated[float, within(above=1)],
 ) -> Course:
     """What a plant meets on one trajectory for each coordinate: with exact motion, and no encoder."""
     count = getattr(plant, "coordinates", 1)
     sample_time = trajectories[0].sample_time
-    require_number("bound", bound, above=1)
     nominal = np.array([[each.position, each.velocity, each.acceleration] for each in trajectories])
     limits = bound * np.maximum(1.0, np.abs(nominal[:, :2]).max(axis=2))
     plants, changed = plants_along(np.asarray(plant.parameters), change, sample_time)

@@ -2,10 +2,12 @@
 
 import warnings
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from stillwork.base.bounds import one_of
 from stillwork.base.checks import InputError, require_array, require_choice, require_number
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.control.adaptation_loop import EXTEND, HOLD, INTEGRATIONS, SKIP, Law
@@ -90,7 +92,7 @@ def simulate(
     *,
     resolution: float = 0.0,
     grid: float = 0.0,
-    integration: str = "exact",
+    integration: Annotated[str, one_of(INTEGRATIONS)] = "exact",
     start: tuple[float, float] | ArrayLike | None = None,
     bound: float = 10.0,
     lost: str = "predict",
@@ -175,8 +177,6 @@ def simulate(
         raise InputError("the controller's model is a Mechanism; drive one with simulate_mechanism")
     shape = trajectory.position.shape
     noise = require_noise(noise, shape)[None]
-    require_number("grid", grid)
-    require_choice("integration", integration, INTEGRATIONS)
     require_sample_time(controller.signal_filter, trajectory.sample_time)
     start = (trajectory.position[0], trajectory.velocity[0]) if start is None else start
     start = require_array("start", start, shape=(2,))

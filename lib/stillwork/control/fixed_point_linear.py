@@ -2,12 +2,14 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from stillwork.base.checks import InputError, require_array, require_choice, require_number
+from stillwork.base.bounds import Positive, one_of
+from stillwork.base.checks import InputError, require_array
 from stillwork.base.validation import by_value, check_fields, checked, user_callback
 from stillwork.control.adaptation_loop import INTEGRATIONS
 from stillwork.control.fixed_point import Controller
@@ -94,9 +96,8 @@ def _finite_impulse_response(rows) -> LinearFilter:
 
 
 @checked
-def semi_implicit_motion(slopes: tuple[float, ...], sample_time: float) -> tuple[np.ndarray, np.ndarray]:
+def semi_implicit_motion(slopes: tuple[float, ...], sample_time: Positive) -> tuple[np.ndarray, np.ndarray]:
     """F and the column of the force of x = [velocity, position] in the semi-implicit model (10)."""
-    require_number("sample_time", sample_time, above=0.0)
     by_position, by_velocity, by_force = slopes
     row = np.array([1 + sample_time * by_velocity, sample_time * by_position])
     column = sample_time * by_force * np.array([1.0, sample_time])
@@ -255,14 +256,13 @@ def linear_loop(
     sample_time: float,
     position: ArrayLike = 0.0,
     velocity: ArrayLike = 0.0,
-    integration: str = "exact",
+    integration: Annotated[str, one_of(INTEGRATIONS[:2])] = "exact",
 ) -> LinearLoop:
     """The loop of `simulate` or `simulate_mechanism` near an operating point (m and m/s).
 
     `integration` is theirs: ``exact``, the plant under a force that is held for a sample, or ``semi-implicit``. Of
     controllers that differ the loop's local gain is that of the first coordinate; those of the others keep their ratio to it.
     """
-    require_choice("integration", integration, INTEGRATIONS[:2])
     count = getattr(plant, "coordinates", 1)
     controllers = list(controller) if isinstance(controller, list) else [controller] * count
     require_alike(controllers, count)

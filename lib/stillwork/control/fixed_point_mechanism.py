@@ -3,11 +3,13 @@
 import warnings
 from dataclasses import replace
 from functools import partial
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stillwork.base.checks import InputError, require_array, require_choice, require_number
+from stillwork.base.bounds import one_of
+from stillwork.base.checks import InputError, require_array, require_number
 from stillwork.base.validation import checked
 from stillwork.control.adaptation_loop import INTEGRATIONS
 from stillwork.control.controlled_run import (
@@ -35,7 +37,7 @@ def simulate_mechanism(
     *,
     resolution: ArrayLike = 0.0,
     grid: ArrayLike = 0.0,
-    integration: str = "exact",
+    integration: Annotated[str, one_of(INTEGRATIONS)] = "exact",
     start: ArrayLike | None = None,
     bound: float = 10.0,
     lost: str = "predict",
@@ -125,7 +127,6 @@ def simulate_mechanism(
     shape = count, len(trajectories[0].position)
     for each in controllers:
         require_sample_time(each.signal_filter, trajectories[0].sample_time)
-    require_choice("integration", integration, INTEGRATIONS)
     forces = np.full(count, np.inf)
     if force_limits is not None:
         forces = require_array("force_limits", force_limits, shape=(count,))

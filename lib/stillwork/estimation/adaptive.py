@@ -18,13 +18,12 @@ import numpy as np
 from jaxtyping import Float64
 
 from stillwork.base.algebra import add_scaled, inner_product
-from stillwork.base.bounds import Count, Natural, Positive, within
+from stillwork.base.bounds import Count, Natural, Positive, one_of, within
 from stillwork.base.checks import (
     Converted,
     InputError,
     pluralise,
     require_array,
-    require_choice,
     require_memory,
     require_number,
 )
@@ -81,12 +80,11 @@ class FeLms:
 
     step_size: Positive = 1e-4
     regularisation: Positive = 1e-5
-    trace: str = "regressors"
+    trace: Annotated[str, one_of(("regressors", "literal"))] = "regressors"
     path_delay: Natural | None = None
 
     def __post_init__(self):
         check_fields(self)
-        require_choice("trace", self.trace, ("regressors", "literal"))
 
     def trace_copies(self, actuators: int) -> float:
         """Number of times the trace counts the power of the regressors.
@@ -195,8 +193,8 @@ class FeRls:
     initial_covariance: Converted
     forgetting: Annotated[float, within(above=0.0, at_most=1.0)] = float(np.exp(-2e-4 / 10))
     growth_limit: float = 10.0
-    form: str = "safe"
-    dtype: str = "float64"
+    form: Annotated[str, one_of(("safe", *FORMS))] = "safe"
+    dtype: Annotated[str, one_of(("float64", "float32"))] = "float64"
     path_delay: Natural | None = None
 
     @checked
@@ -204,8 +202,6 @@ class FeRls:
         check_fields(self, infinite=("growth_limit",))
         if self.growth_limit != np.inf:
             require_number("growth_limit", self.growth_limit, at_least=1.0)
-        require_choice("form", self.form, ("safe", *FORMS))
-        require_choice("dtype", self.dtype, ("float64", "float32"))
         rounded, forgotten = float(np.dtype(self.dtype).type(self.forgetting)), 1 - self.forgetting
         if not 0 < rounded or abs(rounded - self.forgetting) > 0.05 * forgotten:
             raise InputError(

@@ -11,9 +11,12 @@ References
 Bierman, Factorization Methods for Discrete Sequential Estimation (1977).
 """
 
+from typing import Annotated
+
 import numpy as np
 
 from stillwork.base.algebra import copy_vector, plus_left, project
+from stillwork.base.bounds import one_of
 from stillwork.base.checks import InputError, require_choice
 from stillwork.base.kernels import borrowing_kernel, inlined_kernel, pasted_kernel
 from stillwork.base.validation import checked
@@ -22,9 +25,8 @@ FORMS = ("triangle", "UD")
 
 
 @checked
-def factor_of(form: str, covariance: np.ndarray) -> np.ndarray:
+def factor_of(form: Annotated[str, one_of(FORMS)], covariance: np.ndarray) -> np.ndarray:
     """The array that a form stores for a covariance P, in the precision of P."""
-    require_choice("form", form, FORMS)
     if covariance.ndim != 2 or covariance.shape[0] != covariance.shape[1]:
         raise InputError(f"covariance has shape {covariance.shape}; give a square one")
     if form == "triangle":

@@ -12,8 +12,8 @@ from jaxtyping import Complex128, Float64
 from numpy.typing import ArrayLike
 from scipy import linalg
 
-from stillwork.base.bounds import NonNegative, Positive, within
-from stillwork.base.checks import InputError, require_array, require_choice
+from stillwork.base.bounds import NonNegative, Positive, one_of, within
+from stillwork.base.checks import InputError, require_array
 from stillwork.base.validation import by_value, check_fields, checked
 
 ALGORITHMS = ("FeRls", "FeLms")
@@ -218,10 +218,9 @@ def scatter(
     sensor_noise: NonNegative,
     platform_noise: NonNegative,
     sample_rate: Positive,
-    algorithm: str = "FeRls",
+    algorithm: Annotated[str, one_of(ALGORITHMS)] = "FeRls",
 ) -> Scatter:
     """Scatter of the weights of `FeRls` or `FeLms` on Gaussian signals, of which O is a sum over frequency."""
-    require_choice("algorithm", algorithm, ALGORITHMS)
     own, mixed = error_spectra(paths, steady.weights, floor, sensor_noise, platform_noise)
     shaped = paths.shaping[:, None, None] * paths.regressors
     seen = floor + sensor_noise**2 * np.eye(floor.shape[1])
