@@ -35,7 +35,7 @@ from workbook.site.links import broken_links
 from workbook.site.mathematics import markdown
 from workbook.site.metadata import about, address, binder, papers, project
 from workbook.site.pages import Figure, NotebookPage, read_page
-from workbook.site.settings import bars, unsearched
+from workbook.site.settings import by_axis, unsearched
 from workbook.site.specification import curves, said_of, sentence, status
 from workbook.site.states import kept_states, make_states, missing_states
 from workbook.tasks import tasks
@@ -188,7 +188,7 @@ def _choice_pages(render, topics: list[dict]) -> dict[str, bytes]:
                 equal=topic["equal"],
                 telling=joint.telling,
                 silent=sorted({each.axis for each in joint.settings} - joint.telling),
-                drawn=bars(joint),
+                windows=by_axis(joint),
             )
     return files
 
