@@ -60,23 +60,38 @@ def test_sums_products_and_feedback_are_those_of_python_control_from_either_side
         assert agrees(mixed, theirs)
     closed = ct.feedback(one, back)
     assert agrees(a.feedback(back), closed) and agrees(ct.feedback(a, back), closed)
-    single = drawn(rng, 1, 1)
-    s = lti.from_control(single)
+    single, square = drawn(rng, 1, 1), drawn(rng, p, p)
+    s, q = lti.from_control(single), lti.from_control(square)
     for mixed, theirs in (
         *((each, single * one) for each in (s * a, single * a, s * one)),
         *((each, one * single) for each in (a * s, one * s, a * single)),
         *((each, single + one) for each in (s + a, single + a, a + single)),
+        *((q**n, square**n) for n in (-1, 0, 1, 3)),
+        (q / s, square * (1 / single)),
+        (single / s, ct.ss([], [], [], 1.0)),
+        (2 / q, 2 * square**-1),
     ):
         assert agrees(mixed, theirs, 1e-6)
     plane = rng.normal(size=(2, 3)) + 1j * rng.normal(size=(2, 3))
     np.testing.assert_allclose(s(plane).ravel(), single(plane.ravel()), rtol=1e-8)
     np.testing.assert_allclose(a(plane[0]), one(plane[0]), rtol=1e-7, atol=1e-9)
     assert s(1j) == pytest.approx(single(1j)) and np.shape(a(1j)) == (() if p == m == 1 else (p, m))
+    measured = ct.frd(square, W)
+    for mixed, theirs in (
+        (q * measured, square * square),
+        (q + measured, 2 * square),
+        (s / ct.frd(single, W), ct.ss([], [], [], 1.0)),
+    ):
+        np.testing.assert_allclose(mixed.frdata, theirs(1j * W, squeeze=False), rtol=1e-6, atol=1e-9)
 
 
-def test_what_has_no_value_is_refused():
+def test_what_has_no_power_and_no_value_is_refused():
     lag = lti.from_control(ct.tf([1.0], [1.0, 1.0]))
     for wrong, said in (
+        (lambda: lag**0.5, "no power 0.5"),
+        (lambda: 1 / lag, "d is singular"),
+        (lambda: lag / 0, "d is singular"),
+        (lambda: lti.from_control(ct.ss(-1.0, [[1.0, 1.0]], 1.0, 0)) ** 2, "as many inputs as outputs"),
         (lambda: lag(-1.0), "s holds a pole"),
         (lambda: lag([]), "s is empty"),
         (lambda: lag("fast"), "s is not an array"),
@@ -94,6 +109,8 @@ def test_states_keep_their_names_while_these_differ():
     assert (a * b).input_labels == ("u",) and (a * b).output_labels == ("x",)
     assert (2 * a).state_labels == ("slow",) == a.feedback().state_labels == (a + 1).state_labels
     assert (a + a).state_labels == () == (a * lti.StateModel(b.a, b.b, b.c, b.d)).state_labels
+    inverse = (a + 1) ** -1
+    assert (inverse.input_labels, inverse.output_labels, inverse.state_labels) == (("x",), ("F",), ("slow",))
 
 
 @settings(max_examples=30)
@@ -116,6 +133,7 @@ def test_round_trips_keep_values_time_and_names(seed):
             named.output_labels,
         )
         assert again.state_labels == named.state_labels and lti.from_control(again) == model
+        assert lti.from_control(model.to_scipy()) == lti.StateModel(model.a, model.b, model.c, model.d, time)
         assert model["v", ["H", "F"]].input_labels == ("H", "F")
     with pytest.raises(InputError, match=r"'speed'.*'x', 'v'"):
         model["speed", "F"]
@@ -187,7 +205,7 @@ def test_functions_take_models_of_other_libraries():
     for each in (
         lag,
         ct.ss(lag),
-        scipy_signal.TransferFunction([3.0], [1.0, 2.0]),
+        lag.to_scipy() if hasattr(lag, "to_scipy") else scipy_signal.TransferFunction([3.0], [1.0, 2.0]),
     ):
         assert lti.hinf_norm(each).magnitude == pytest.approx(1.5, rel=1e-9)
         assert lti.h2_norm(each) == pytest.approx(3 / np.sqrt(4), rel=1e-9)
@@ -330,6 +348,7 @@ def test_equal_modes_and_odd_roots():
     named = ct.ss(-1.0, 1.0, 1.0, 0.0, inputs="F", outputs="x", states="v")
     for held in (lti.zoh(named, 0.1), lti.tustin(named, 0.1)):
         assert (held.input_labels, held.output_labels, held.state_labels) == (("F",), ("x",), ("v",))
+    assert (lti.from_control(named) / 2).frequency_response([0.0]) == 0.5
 
 
 def test_responses_of_python_control_are_read_and_written():

@@ -2,9 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, reduce
+from operator import mul
 
 import numpy as np
+import scipy  # its `signal` is loaded where it is called: it takes half a second
 from jaxtyping import Complex128, Float64
 from scipy import linalg
 from scipy.sparse import csgraph
@@ -356,9 +358,11 @@ class StateModel:
         return self._named(loop, self)
 
     def _operand(self, other):
-        """What this model is added to or multiplied with, as a model."""
+        """What this model is added to or multiplied with, as a model; a measured response of python-control as it is."""
         if isinstance(other, int | float | np.integer | np.floating | np.ndarray):
             return constant(np.atleast_2d(other), self.sample_time)
+        if hasattr(other, "frdata"):
+            return other
         try:
             return StateModel.converted("the other model", other)
         except InputError:
@@ -392,8 +396,8 @@ class StateModel:
 
     def __add__(self, other):
         other = self._operand(other)
-        if other is None:
-            return NotImplemented
+        if not isinstance(other, StateModel):
+            return NotImplemented if other is None else self.to_control() + other
         one, other = self._spread(other.d.shape), other._spread(self.d.shape)
         if other.d.shape != one.d.shape:
             raise InputError(
@@ -415,11 +419,39 @@ class StateModel:
 
     def __mul__(self, other):
         other = self._operand(other)
-        return NotImplemented if other is None else self._after(other)
+        if not isinstance(other, StateModel):
+            return NotImplemented if other is None else self.to_control() * other
+        return self._after(other)
 
     def __rmul__(self, other):
         other = self._operand(other)
-        return NotImplemented if other is None else other._after(self)
+        return other._after(self) if isinstance(other, StateModel) else NotImplemented
+
+    def __truediv__(self, other):
+        other = self._operand(other)
+        return NotImplemented if other is None else self * other**-1
+
+    def __rtruediv__(self, other):
+        return other * self**-1
+
+    def __pow__(self, power):
+        """So many of this model in series; below zero of its inverse."""
+        if not isinstance(power, int | np.integer) or len(set(self.d.shape)) > 1:
+            raise InputError(
+                f"a model of shape {self.d.shape} has no power {power}; give a whole number, and as many inputs as outputs"
+            )
+        if not power:
+            return constant(np.eye(len(self.d)), self.sample_time)
+        return reduce(mul, [self if power > 0 else self._inverse()] * abs(power))
+
+    def _inverse(self) -> "StateModel":
+        if _least_condition(self.d) > 1e12:
+            raise InputError(
+                "d is singular: the inverse is improper; add a direct part, or a pole to what divides it"
+            )
+        c, d = np.linalg.solve(self.d, self.c), np.linalg.inv(self.d)
+        inverse = replace(self, a=self.a - self.b @ c, b=self.b @ d, c=-c, d=d)
+        return replace(inverse, input_labels=self.output_labels, output_labels=self.input_labels)
 
     def _after(self, first: "StateModel") -> "StateModel":
         """`first`, then this; a model of one channel is repeated in each of the other's."""
@@ -465,6 +497,23 @@ class StateModel:
             if getattr(self, f"{kind}_labels")
         }
         return control.StateSpace(self.a, self.b, self.c, self.d, self.sample_time or 0, **names)
+
+    def to_scipy(self):
+        """The same model as `scipy.signal.StateSpace`, which holds no names.
+
+        Returns
+        -------
+        scipy.signal.StateSpace
+            In discrete time when `sample_time` is above 0.
+
+        Examples
+        --------
+        >>> low_pass = lti.StateModel([[-10.0]], [[10.0]], [[1.0]], [[0.0]])
+        >>> low_pass.to_scipy().poles
+        array([-10.])
+        """
+        time = {"dt": self.sample_time} if self.sample_time else {}
+        return scipy.signal.StateSpace(self.a, self.b, self.c, self.d, **time)
 
 
 # Models that differ in their inputs and outputs alone, as the channels of a loop or the gains of a feedforward, have
