@@ -22,7 +22,7 @@ PACKAGES = {
 # No calls: made by the functions beside them, warnings and errors.
 RESULTS = {
     "Peak", "Identified", "Machine", "ModalFit", "Adaptation", "KalmanGain", "MinMaxSolution", "Track", "Bandwidth",
-    "GainProof", "CancellationWarning",
+    "GainProof", "MinimalRealisation", "CancellationWarning",
     "LoopResponse", "ControlledRun", "Loop", "UnstableAdaptation", "ZeroEstimateWarning", "ContractionWarning",
 }  # fmt: skip
 # Calls whose good arguments stand for a file or a machine that is not there.
@@ -190,6 +190,7 @@ def catalogue() -> dict:
         "from_control": (lti.from_control, {"system": state}),
         "h2_norm": (lti.h2_norm, {"model": state}),
         "hinf_norm": (lti.hinf_norm, {"model": state}),
+        "minimal_realisation": (lti.minimal_realisation, {"model": state, "tolerance": 1e-10}),
         "interconnect": (lti.interconnect, {"models": [state], **joined, "direct": np.zeros((1, 1))}),
         "modal_model": (lti.modal_model, {"mass": np.eye(2), "stiffness": np.array([[2.0, -1], [-1, 2]]), "input_map": np.ones((2, 1)), "output_map": np.ones((1, 2)), "damping_ratio": 0.01}),
         "modal_model, damped": (lti.modal_model, {"mass": np.eye(2), "stiffness": np.array([[2.0, -1], [-1, 2]]), "input_map": np.ones((2, 1)), "output_map": np.ones((1, 2)), "damping_matrix": 0.1 * np.eye(2)}),
@@ -246,6 +247,7 @@ def catalogue() -> dict:
         "H2Synthesis": (e.H2Synthesis, fields(e.h2_riccati(regular, 0.1, 0.1))),
         "h2_riccati": (e.h2_riccati, {"plant": regular, "effort": 0.1, "noise": 0.1}),
         "h2_riccati, model": (lambda **named: e.h2_riccati(lti.GeneralisedPlant(lti.StateModel(**named), 2, 2)), fields(posed)),
+        "h2_riccati, discrete": (lambda **named: e.h2_riccati(lti.GeneralisedPlant(lti.StateModel(**named), 2, 2)), {**fields(posed), "a": 0.5 * posed.a / np.abs(posed.poles).max(), "sample_time": 0.1}),
         "Application": (c.Application, fields(c.Application(True, 0.1, selectivity=2.0, high_pass_hz=1.0))),
         "DigitalController": (c.DigitalController, fields(digital)),
         "DigitalController.run": (digital.run, {"inputs": signal[None], "first": np.ones(1)}),

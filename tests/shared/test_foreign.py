@@ -12,7 +12,6 @@ from scipy import signal as scipy_signal
 
 from stillwork import control, estimation, identification, lti, signals
 from stillwork.base.checks import InputError
-from stillwork.lti.foreign import minimal
 
 W = np.geomspace(0.01, 100, 60)
 SEEDS = st.integers(0, 2**32 - 1)
@@ -318,15 +317,16 @@ def test_a_minimal_realisation_has_the_response_and_no_state_too_many(seed):
         np.hstack([theirs.C, rng.normal(size=(2, 1)), np.zeros((2, 1))]),
     )
     turn = linalg.qr(rng.normal(size=(6, 6)))[0]
-    found = lti.StateModel(*minimal(turn @ a @ turn.T, turn @ b, c @ turn.T), theirs.D)
-    assert len(found.a) == 4 and agrees(found, theirs)
+    found = lti.minimal_realisation((turn @ a @ turn.T, turn @ b, c @ turn.T, theirs.D))
+    assert len(found.model.a) == 4 and len(found.removed) == 2 and found.removed.max() < 1e-12
+    assert agrees(found.model, theirs)
 
 
 def test_slow_states_that_matter_stay():
     """Poles over twelve decades: a small singular value may carry most of the response."""
     plain = ct.ss(np.diag([-1e-6, -2e-6, -1e6]), np.ones((3, 1)), np.ones((1, 3)), 0)
-    found = lti.StateModel(*minimal(plain.A, plain.B, plain.C), plain.D)
-    assert found.frequency_response([0.0])[0, 0, 0] == pytest.approx(1.5e6, rel=1e-9)
+    found = lti.minimal_realisation(plain)
+    assert found.model.frequency_response([0.0])[0, 0, 0] == pytest.approx(1.5e6, rel=1e-9)
     slow = [[np.poly([-1e-3, -2e-3, -1e5]), [1.0, 1.0]], [[1.0, 2.0], [1.0, 3.0]]]
     system = ct.tf([[[2e-1], [1.0]], [[1.0], [1.0]]], slow)
     at_rest = lti.from_control(system).frequency_response([0.0])[:, :, 0]

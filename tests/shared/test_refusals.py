@@ -113,8 +113,9 @@ REFUSED = [
     (lambda: one_third_octave_velocity([10.0, 10.1], [1.0, 1.0]), "frequencies_hz"),
     # Settings and records that do not go together.
     (lambda: MinMaxRegressor([1.0, 2.0]).fit(X, Y), "bound"),
+    (lambda: MinMaxRegressor(1.0, initial_coef=np.ones(3)).fit(X, Y), "initial_covariance"),
     (lambda: RecursiveLeastSquares(initial_coef=np.ones(2)).fit(X, Y), "initial_coef"),
-    (lambda: RecursiveLeastSquares(initial_coef=np.ones(3)).fit(X, Y), "initial_covariance"),
+    (lambda: RecursiveLeastSquares(window=9, initial_covariance=1.0).fit(X, Y), "initial_covariance"),
     (lambda: RecursiveLeastSquares().fit(X, Y, -np.ones(30)), "sample_weight"),
     (lambda: LeastMeanSquares().fit(np.nan * X, Y), "NaN"),
     (lambda: LeastMeanSquares().fit(np.ma.masked_equal([[1.0], [2.0]], 2), [1.0, 2.0]), "X"),

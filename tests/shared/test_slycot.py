@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from stillwork import lti
-from stillwork.lti.foreign import minimal
 from workbook import paths
 
 FOLDER = paths.root() / "build/slycot"
@@ -66,7 +65,7 @@ def test_zeros_norms_and_minimal_models_are_those_of_slicot():
         assert lti.hinf_norm(model).magnitude == pytest.approx(theirs["norm"], rel=1e-6)
         proper = lti.StateModel(model.a, model.b, model.c, 0 * model.d)
         assert lti.h2_norm(proper) == pytest.approx(theirs["two"], rel=1e-8)
-        assert len(minimal(model.a, model.b, model.c)[0]) == theirs["states"]
+        assert len(lti.minimal_realisation(model).model.a) == theirs["states"]
         ours, theirs = model.zeros, np.array([complex(*each) for each in theirs["zeros"]])
         for zero in theirs:
             assert np.abs(ours - zero).min() < 1e-6 * max(1.0, abs(zero))

@@ -22,14 +22,15 @@ from stillwork.estimation.regression import UnlikeScalesWarning
 EVERY = [
     LeastMeanSquares(),
     RecursiveLeastSquares(),
-    MinMaxRegressor(bound=0.01),
+    RecursiveLeastSquares(window=40),
+    MinMaxRegressor(bound=0.01, bound_on="sample", initial_covariance=100.0),
 ]
 KINDS = [
     LeastMeanSquares(step_size=0.4, fit_intercept=False),
     RecursiveLeastSquares(forgetting=0.95, fit_intercept=False),
     RecursiveLeastSquares(fit_intercept=False),
     MinMaxRegressor(0.3, forgetting=0.95, fit_intercept=False),
-    MinMaxRegressor([0.3, 0.0, 0.1], fit_intercept=False),
+    MinMaxRegressor([0.3, 0.0, 0.1], "sample", initial_covariance=10.0, fit_intercept=False),
 ]
 
 
@@ -102,14 +103,15 @@ def test_least_mean_squares_take_the_published_step():
 
 @pytest.mark.filterwarnings("ignore::stillwork.estimation.min_max.ZeroEstimateWarning")
 @pytest.mark.parametrize("bound", [0.0, 0.4, [0.4, 0.0, 0.0], [0.0, 2.0, 0.3]])
-@pytest.mark.parametrize("intercept", [False, True])
-def test_min_max_is_the_cone_program(bound, intercept):
+@pytest.mark.parametrize(("bound_on", "intercept"), [("record", False), ("sample", True)])
+def test_min_max_is_the_cone_program(bound, bound_on, intercept):
     """An intercept is a column of ones that is known."""
     X, y = record(4, samples=20, outputs=2)
     weights = np.random.default_rng(5).uniform(0, 3, len(X))
     A, b = weighted(np.column_stack([X, np.ones(20)]) if intercept else X, y + 9 * intercept, 0.9, weights)
-    bounds = np.append(np.broadcast_to(bound, 3), [0.0] * intercept)
-    found = MinMaxRegressor(bound, forgetting=0.9, fit_intercept=intercept)
+    growth = 1.0 if bound_on == "record" else np.sqrt(weights @ 0.9 ** np.arange(19, -1, -1))
+    bounds = growth * np.append(np.broadcast_to(bound, 3), [0.0] * intercept)
+    found = MinMaxRegressor(bound, bound_on, forgetting=0.9, fit_intercept=intercept)
     found.fit(X, y + 9 * intercept, weights)
     for coef, constant, target in zip(found.coef_, np.broadcast_to(found.intercept_, 2), b.T, strict=True):
         assert_cone_program(np.append(coef, [constant] * intercept), A, target, bounds)
@@ -130,6 +132,7 @@ def test_min_max_of_one_sample_at_a_time_is_that_of_all(seed):
     y += 10 ** rng.uniform(-6, 1) * rng.standard_normal(y.shape)
     how = {
         "bound": bound if seed % 2 else float(bound.mean()),
+        "bound_on": ("record", "sample")[rng.integers(2)],
         "forgetting": (0.9, 1.0)[rng.integers(2)],
         "fit_intercept": bool(rng.integers(2)),
     }
@@ -222,7 +225,7 @@ def test_a_lost_sample_is_time_without_news(estimator):
     [
         LeastMeanSquares(step_size=0.5, fit_intercept=False),
         RecursiveLeastSquares(forgetting=0.95, initial_covariance=1.0, fit_intercept=False),
-        MinMaxRegressor(1e-3, forgetting=0.95, fit_intercept=False),
+        MinMaxRegressor(1e-3, "sample", forgetting=0.95, initial_covariance=1.0, fit_intercept=False),
     ],
     ids=lambda e: type(e).__name__,
 )

@@ -4,7 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from naive.nist import datasets, digits
@@ -100,11 +100,12 @@ def drawn_records(draw):
 EXACT = [
     RecursiveLeastSquares(),
     RecursiveLeastSquares(forgetting=0.97),
+    RecursiveLeastSquares(window=45),
     MinMaxRegressor(0.0, forgetting=0.97),
 ]
 BOUNDED = MinMaxRegressor([0.1, 0.2, 0.3], forgetting=0.97)
 STEPPED = LeastMeanSquares()  # one step meets all features: they share a unit
-TURNED = [*EXACT, MinMaxRegressor(0.3), MinMaxRegressor(0.3, 0.97)]
+TURNED = [*EXACT, MinMaxRegressor(0.3), MinMaxRegressor(0.3, "sample", 0.97, window=50)]
 
 
 def predicted(estimator, X, y, seen, **changed):
@@ -153,22 +154,24 @@ def test_features_may_be_turned_into_one_another_or_given_twice(record, seed, es
 @settings(max_examples=100)
 @given(
     drawn_records(),
+    st.none() | st.integers(2, 60),
     st.sampled_from([1.0, 0.95]),
     st.booleans(),
     st.none() | st.floats(0.1, 10.0),
     st.booleans(),
 )
-def test_an_estimate_is_that_of_weighted_least_squares(record, forgetting, intercept, prior, stream):
-    """Two outputs, with weights, an initial estimate, lost rows, a row at a time or at once."""
+def test_an_estimate_is_that_of_weighted_least_squares(record, window, forgetting, intercept, prior, stream):
+    """Of the rows of the window, two outputs, with weights, an initial estimate, lost rows, a row at a time or at once."""
     X, y = record[0], np.column_stack([record[1], record[0][::-1, 0]])
     weights, start = np.random.default_rng(len(X)).uniform(0.1, 3, len(X)), {}
     A = np.column_stack([X, np.ones(len(X))]) if intercept else X
     age = np.arange(len(X) - 1, -1, -1)
     lost = np.isnan(np.column_stack([X, y])).any(axis=1)
-    used = ~lost
+    used = ~lost & (age < (window or len(X)))
+    assume(used.any())
     root = np.sqrt(forgetting**age * weights)[used, None]
     wanted, target = root * A[used], root * y[used]
-    if prior is not None:
+    if prior is not None and window is None:
         start = {
             "initial_covariance": prior,
             "initial_coef": np.arange(6.0).reshape(2, 3),
@@ -177,7 +180,7 @@ def test_an_estimate_is_that_of_weighted_least_squares(record, forgetting, inter
         held = np.sqrt(forgetting ** len(X) / prior)
         wanted = np.vstack([wanted, held * np.eye(3, A.shape[1])])
         target = np.vstack([target, held * start["initial_coef"].T])
-    made = RecursiveLeastSquares(forgetting=forgetting, fit_intercept=intercept, **start)
+    made = RecursiveLeastSquares(forgetting=forgetting, window=window, fit_intercept=intercept, **start)
     begun = int(np.argmin(lost)) + 1 if stream else len(X)  # a stream begins with a row that is not lost
     (made.partial_fit if stream else made.fit)(X[:begun], y[:begun], weights[:begun])
     for k in range(begun, len(X)):

@@ -14,6 +14,7 @@ from scipy import linalg
 from stillwork.base.bounds import NonNegative
 from stillwork.base.checks import InputError, require_array
 from stillwork.base.validation import by_value, check_fields, checked
+from stillwork.estimation.h2_discrete import discrete_h2, require_promised
 from stillwork.estimation.riccati import continuous_gain
 from stillwork.lti.generalised_plant import GeneralisedPlant
 from stillwork.lti.norms import h2_norm, rough_h2_norm
@@ -29,7 +30,7 @@ class H2Synthesis:
     Attributes
     ----------
     controller : StateModel
-        From the measurements y to the controls u, strictly proper.
+        From the measurements y to the controls u, in continuous time strictly proper.
     regular_norm : float
         H2 norm of the regularised plant's loop, computed on the closed loop.
     norm : float
@@ -76,9 +77,7 @@ def regularised(
     D12 has full column rank and D21 full row rank.
     """
     a, b1, b2, c1, c2, d11, d12, d21, d22 = plant.blocks
-    if plant.model.sample_time:
-        raise InputError("plant is sampled; give it in continuous time")
-    if np.any(d11):
+    if np.any(d11) and not plant.model.sample_time:
         raise InputError("the plant has feedthrough from w to z; its H2 norm is infinite, add a low-pass")
     if not len(a):
         raise InputError("plant has no states; there is nothing to control")
@@ -95,7 +94,8 @@ def regularised(
     )
     b = np.hstack([b1, np.zeros((len(a), measurements)), b2])
     c = np.vstack([c1, np.zeros((controls, len(a))), c2])
-    regular = GeneralisedPlant(StateModel(a, b, c, d), w + measurements, z + controls)
+    model = StateModel(a, b, c, d, plant.model.sample_time)
+    regular = GeneralisedPlant(model, w + measurements, z + controls)
     *_, d12, d21, _ = regular.blocks
     for name, matrix in (("effort", d12.T), ("noise", d21)):
         lengths = np.linalg.norm(matrix, axis=1)[:, None]
@@ -128,11 +128,13 @@ def h2_riccati(
     Parameters
     ----------
     plant : GeneralisedPlant
-        In continuous time, without feedthrough from w to z; it may be unstable.
+        It may be unstable. In continuous time without feedthrough from w to z; in discrete time the controller has
+        feedthrough: it uses the measurement of its own sample.
     effort : float or array_like, shape (controls,)
         An additional performance output for every control: this factor times the control, in units of z per unit of u.
     noise : float or array_like, shape (measurements,)
-        Additional white noise in every measurement: the root of its intensity, in units of y times a root of s.
+        Additional white noise in every measurement: the root of its intensity, in units of y times a root of s; in discrete
+        time its standard deviation.
 
     Returns
     -------
@@ -162,6 +164,10 @@ def h2_riccati(
     32.3
     """
     regular = regularised(plant, effort, noise)
+    if plant.model.sample_time:
+        controller, claimed = discrete_h2(regular)
+        achieved = require_promised(regular.close(controller), claimed)
+        return H2Synthesis(controller, achieved, checked_h2_norm(plant.close(controller)), claimed)
     scaled, units = scaled_plant(regular)
     a, b1, b2, c1, c2, d11, d12, d21, d22 = scaled.blocks
     gain = _filter_gain(a, b1, c2, d21)

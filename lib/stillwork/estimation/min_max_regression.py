@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from stillwork.base.checks import InputError, pluralise, require_array
+from stillwork.base.checks import InputError, pluralise, require_array, require_choice
 from stillwork.estimation.min_max import ZeroEstimateWarning, solve_plain
 from stillwork.estimation.regression import TriangleRegressor
 from stillwork.estimation.secular import ROUNDING, min_max_root
-from stillwork.estimation.triangle_kernels import MEAN, NO_BOUNDS, POWER
+from stillwork.estimation.triangle_kernels import MASS, MEAN, NO_BOUNDS, POWER
 
 
 def _column_sizes(matrix) -> np.ndarray:
@@ -60,8 +60,17 @@ class MinMaxRegressor(TriangleRegressor):
     bound : float or array_like, shape (features,)
         eta, the bound on the 2-norm of the perturbation, in the unit of the features, or one for each column. A column
         of bound 0 is known exactly. `set_params` may change it at any time.
+    bound_on : str
+        ``record``: of what the bound holds is the perturbation of all weighted samples together, however many.
+        ``sample``: of that of each sample, so that of all it grows as (sum of the weights)^(1/2).
     forgetting : float
         lambda in (0, 1]; 1 weights all samples equally.
+    window : int, optional
+        How many of the last samples count, lost ones among them; all without it.
+    initial_coef : array_like, shape (features,) or (outputs, features), optional
+        Estimate before the first sample.
+    initial_covariance : float or array_like, optional
+        Of the initial estimate, as in `RecursiveLeastSquares`; without it there is none.
     fit_intercept : bool
         Whether to fit a constant, too; if not, y is 0 where X is 0.
     coef_ : ndarray, shape (features,) or (outputs, features)
@@ -102,7 +111,11 @@ class MinMaxRegressor(TriangleRegressor):
     """
 
     bound: Any
+    bound_on: Any = "record"
     forgetting: Any = 1.0
+    window: Any = None
+    initial_coef: Any = None
+    initial_covariance: Any = None
     fit_intercept: Any = True
 
     def __post_init__(self):
@@ -119,15 +132,19 @@ class MinMaxRegressor(TriangleRegressor):
             )
 
     def _update(self, X, outputs, weights, anew):
+        if self.initial_coef is not None and self.initial_covariance is None:
+            raise InputError("initial_covariance is None, so that initial_coef does not count; give a number")
         bounds = self._feature_bounds(X.shape[1])
+        per_sample = require_choice("bound_on", self.bound_on, ("record", "sample")) == "sample"
         uncertain = 0.0 < bounds.min()
         coef, intercepts, decided = self._advance(
-            X, outputs, weights, anew, 0.0, bounds if uncertain else NO_BOUNDS
+            X, outputs, weights, anew, 0.0, bounds if uncertain else NO_BOUNDS, per_sample
         )
         if uncertain and decided:
             self._zero = math.isinf(max(self._state.alphas.tolist()))
             return coef, intercepts
-        return self._solve(bounds)
+        mass = self._state.record[X.shape[1] + MASS, 0]
+        return self._solve(bounds * math.sqrt(mass) if per_sample else bounds)
 
     def _feature_bounds(self, features) -> np.ndarray:
         if type(self.bound) is float and self.bound >= 0.0 and self.bound < np.inf:

@@ -1,19 +1,18 @@
-"""Recursive least squares of a stream: the triangle of all rows."""
+"""Recursive least squares of a stream: the triangle of all rows, or of those of a window."""
 
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from stillwork.base.checks import InputError
 from stillwork.estimation.recursive import warn_held
 from stillwork.estimation.regression import TriangleRegressor
-from stillwork.estimation.triangle_kernels import HELD, NO_BOUNDS, least_share, start_record
+from stillwork.estimation.triangle_kernels import HELD, NO_BOUNDS, least_share
 
 
 @dataclass(eq=False)
 class RecursiveLeastSquares(TriangleRegressor):
-    """Recursive least squares with exponential forgetting, all outputs with one triangle.
+    """Recursive least squares with exponential forgetting or over a window, all outputs with one triangle.
 
     It minimises sum_j forgetting^(t - j) w_j |y_j - coef x_j - intercept|^2 and, where `initial_covariance` is given,
     forgetting^t times the distance from the initial estimate, weighted by its inverse.
@@ -22,8 +21,11 @@ class RecursiveLeastSquares(TriangleRegressor):
     ----------
     forgetting : float
         lambda in (0, 1]; 1 weights all samples equally.
+    window : int, optional
+        How many of the last samples count, lost ones among them; all without it.
     initial_coef : array_like, shape (features,) or (outputs, features), optional
-        Estimate before the first sample; zero without. It takes an `initial_covariance`.
+        Estimate before the first sample; zero without. A feature that nothing excites, or that those before it explain,
+        keeps it.
     initial_covariance : float or array_like, optional
         P of the coefficients before the first sample, its diagonal, or one number for the diagonal, in units of
         1 / feature^2: large if the initial estimate is uncertain; nothing is known of an intercept. Without it the start
@@ -58,11 +60,14 @@ class RecursiveLeastSquares(TriangleRegressor):
     -----
     Each row turns the triangle of weighted deviations from the weighted means by rotations, so that the estimate has
     the digits of a QR decomposition of all rows, and a stream ends where its batch does. What steps is compiled when the
-    estimator is made. `set_params` between two calls of `partial_fit` changes `forgetting`; the start remains as it was.
+    estimator is made. `set_params` between two calls of `partial_fit` changes `forgetting`; the start and the window
+    remain as they were. A row leaves a window by hyperbolic rotations where these keep the digits, else, and once in each
+    window, the rows of the window are taken in anew.
 
     References
     ----------
-    Haykin, Adaptive Filter Theory (2002), chapters 9 and 14; West, Updating mean and variance estimates (1979).
+    Haykin, Adaptive Filter Theory (2002), chapters 9 and 14; Golub and Van Loan, Matrix
+    Computations (2013), 6.5.4; West, Updating mean and variance estimates (1979).
 
     Examples
     --------
@@ -73,6 +78,7 @@ class RecursiveLeastSquares(TriangleRegressor):
     """
 
     forgetting: Any = 1.0
+    window: Any = None
     initial_coef: Any = None
     initial_covariance: Any = None
     growth_limit: Any = 1e6
@@ -88,13 +94,6 @@ class RecursiveLeastSquares(TriangleRegressor):
         self._require_fitted()
         n = self.n_features_in_
         return np.minimum(self._state.record[n + HELD, :n], 1.0)
-
-    def _start(self, features, outputs):
-        first = self._initial(self.initial_coef, features, outputs)
-        record = start_record(first, self.initial_covariance)
-        if self.initial_coef is not None and not record.any():
-            raise InputError("initial_coef counts only with an initial_covariance; give one")
-        return record
 
     def _update(self, X, outputs, weights, anew):
         return self._advance(X, outputs, weights, anew, least_share(self.growth_limit), NO_BOUNDS)[:2]

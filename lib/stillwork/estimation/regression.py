@@ -19,12 +19,13 @@ from stillwork.base.checks import (
     nearest,
     pluralise,
     require_array,
+    require_count,
     require_kind,
     require_number,
 )
 from stillwork.base.extras import MissingPackage, require_package
 from stillwork.estimation.recursive import LARGEST, require_finite_squares, require_squares
-from stillwork.estimation.triangle_kernels import NO_BOUNDS, empty_record, learn_rows
+from stillwork.estimation.triangle_kernels import NO_BOUNDS, empty_record, learn_rows, start_record
 
 NUMBERS = {"dtype": np.float64, "ensure_all_finite": "allow-nan"}  # what scikit-learn's checks are to return
 ONE = np.ones(1)  # the weight of a sample that needs none
@@ -358,44 +359,80 @@ class Kept(NamedTuple):
     """What a triangle keeps of a stream."""
 
     record: np.ndarray  # see `triangle_kernels`
+    recent: (
+        np.ndarray
+    )  # (window, 1 + features + outputs): weight and row of the last samples; empty without a window
+    samples: np.ndarray  # how many, (1,)
     alphas: np.ndarray  # of a min-max estimate, an output each
+    first: np.ndarray  # the initial estimate where it has no covariance: what is kept are deviations from it
 
 
 class TriangleRegressor(WeightedRegressor):
-    # A subclass has `forgetting`.
+    # A subclass has `forgetting`, `window`, `initial_coef`, `initial_covariance`.
     forgetting: Any
+    window: Any
+    initial_coef: Any
+    initial_covariance: Any
     _state: Kept
 
     def __post_init__(self):
         compile_rows()
 
-    def _start(self, features, outputs) -> np.ndarray:
-        return empty_record(features, outputs)
+    def _start(self, features, outputs) -> Kept:
+        first = self._initial(self.initial_coef, features, outputs)
+        window = 0 if self.window is None else require_count("window", self.window, at_least=1)
+        record = start_record(first, self.initial_covariance)
+        known = record.any()
+        if window and known:
+            raise InputError("initial_covariance never leaves a window; give one of the two")
+        recent = np.zeros((window, 1 + features + outputs))
+        kept = np.zeros_like(first) if known else first
+        return Kept(record, recent, np.zeros(1, np.int64), np.zeros(outputs), kept)
 
-    def _advance(self, X, outputs, weights, anew, share, bounds) -> tuple[np.ndarray, np.ndarray, bool]:
+    def _advance(
+        self, X, outputs, weights, anew, share, bounds, per_sample=False
+    ) -> tuple[np.ndarray, np.ndarray, bool]:
         # coefficients, intercepts, and whether an estimate with bounds is decided
         forgetting = self.forgetting
         if not (type(forgetting) is float and 0.0 < forgetting <= 1.0):
             forgetting = float(require_number("forgetting", forgetting, above=0.0, at_most=1.0))
         if anew:
-            count = outputs.shape[1]
-            self._state = Kept(self._start(X.shape[1], count), np.zeros(count))
-        record, alphas = self._state.record.copy(), self._state.alphas.copy()
+            self._state = self._start(X.shape[1], outputs.shape[1])
+        record, recent, count, alphas, first = self._state
+        record, alphas, count = record.copy(), alphas.copy(), count.copy()
+        recent = recent.copy() if len(recent) else recent
         # the kernel is compiled for arrays as numpy makes them: not for those of a reader that are read-only or strided
-        X, outputs, weights = _as_made(X), _as_made(outputs), _as_made(weights)
+        X = _as_made(X)
+        outputs = _as_made(outputs) if self.initial_coef is None else outputs - X @ first.T
+        weights = _as_made(weights)
         found = np.zeros((outputs.shape[1], X.shape[1] + 1))
         decided = learn_rows(
-            record, X, outputs, weights, forgetting, share, self._has_intercept, bounds, alphas, found
-        )
-        self._state = Kept(record, alphas)
-        return found[:, :-1].copy(), found[:, -1].copy(), decided
+            record, recent, count, X, outputs, weights, forgetting, share, self._has_intercept, bounds, per_sample,
+            alphas, found,
+        )  # fmt: skip
+        self._state = Kept(record, recent, count, alphas, first)
+        return first + found[:, :-1], found[:, -1].copy(), decided
 
 
 @cache
 def compile_rows() -> None:
     """Compile the kernel of a row, so that no sample of a stream waits for it."""
-    row = np.zeros((1, 1))
-    learn_rows(empty_record(1, 1), row, row, ONE, 1.0, 1.0, True, NO_BOUNDS, ONE.copy(), np.zeros((1, 2)))
+    row, count, empty = np.zeros((1, 1)), np.zeros(1, np.int64), np.empty((0, 3))
+    learn_rows(
+        empty_record(1, 1),
+        empty,
+        count,
+        row,
+        row,
+        ONE,
+        1.0,
+        1.0,
+        True,
+        NO_BOUNDS,
+        False,
+        ONE.copy(),
+        np.zeros((1, 2)),
+    )
 
 
 class UnweightedRegressor(RecursiveRegressor):

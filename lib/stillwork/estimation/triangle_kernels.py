@@ -24,6 +24,7 @@ LEAST_EXCESS = (
     1e-9  # of the output outside the features' space, below which singular values decide of min-max
 )
 WEAKEST = 1e-10  # pivot over the trace, below which the normal equations lose digits that a correction does not give back
+LEAVES = 1e-2  # what a downdate leaves of a square; below it the window is taken in anew
 EVALUATIONS = 60
 NO_BOUNDS = np.empty(0)  # of least squares
 
@@ -76,6 +77,24 @@ def add_row(triangle, row, features):
             upper = triangle[k, j]
             triangle[k, j] = along * upper + across * row[j]
             row[j] = along * row[j] - across * upper
+
+
+@borrowing_kernel
+def _remove_row(triangle, row, features):
+    # The triangle without one row, by hyperbolic rotations in their stable order; false where digits would be lost.
+    for k in range(features):
+        if row[k] == 0.0:
+            continue
+        whole = triangle[k, k]
+        left = (whole - row[k]) * (whole + row[k])
+        if not left > LEAVES * whole * whole:
+            return False
+        triangle[k, k] = math.sqrt(left)
+        along, across = triangle[k, k] / whole, row[k] / whole
+        for j in range(k + 1, len(row)):
+            triangle[k, j] = (triangle[k, j] - across * row[j]) / along
+            row[j] = along * row[j] - across * triangle[k, j]
+    return True
 
 
 @pasted_kernel
@@ -131,6 +150,32 @@ def take_in(state, features, row, weight, forgetting, share, centred):
             state[features + POWER, j] += row[j] * row[j]
     if forgetting < 1.0:
         _hold(state, features, forgetting, share)
+
+
+@borrowing_kernel
+def _take_out(state, features, row, weight, centred):
+    # One row [x, y] less; false, with the record spoilt, where digits would be lost.
+    mass = state[features + MASS, 0]
+    left = mass - weight
+    if not left > LEAVES * mass:
+        return False
+    state[features + MASS, 0] = left
+    for j in range(features):
+        state[features + POWER, j] = max(state[features + POWER, j] - weight * row[j] * row[j], 0.0)
+    root = math.sqrt(weight)
+    if centred:
+        root *= math.sqrt(mass / left)
+        for j in range(len(row)):
+            row[j] -= state[features + MEAN, j]
+            state[features + MEAN, j] -= weight / left * row[j]
+    for j in range(len(row)):
+        row[j] *= root
+    if not _remove_row(state, row, features):
+        return False
+    for j in range(features, len(row)):
+        whole = state[features + POWER, j]
+        state[features + POWER, j] = max(whole - row[j] * row[j], 0.0)
+    return True
 
 
 @pasted_kernel
@@ -256,53 +301,75 @@ def search_min_max(state, features, o, units, bound, start, least, square, lines
 
 
 @kernel
-def solve_min_max(state, features, bounds, alphas, coef):
-    """The min-max estimate of every output; false where it is not decided.
+def solve_min_max(state, features, bound, units, alphas, coef):
+    """The min-max estimate of every output, of features with bounds `bound` times `units`; false where it is not decided.
 
-    Undecided is an output in the space of the features, or nearly, and features of which the bounds do not make a well
+    Undecided is an output in the space of the features, or nearly, and features of which the bound does not make a well
     conditioned problem: there singular values decide. `alphas` are where the searches begin, and become their results.
     """
     square, lines = np.empty((2, features, features)), np.empty((6, features))
     for o in range(len(coef)):
         x = coef[o]
-        trace, energy, size = set_normal(state, features, o, bounds, square, lines)
+        trace, energy, size = set_normal(state, features, o, units, square, lines)
         if not (size > 0.0 and energy > 0.0):
             return False
-        if energy >= size:
+        if bound * bound * energy >= size:
             x[:] = 0.0
             alphas[o] = np.inf
             continue
         if not state[features + POWER, features + o] > LEAST_EXCESS * LEAST_EXCESS * energy:
             return False
-        start = alphas[o] if 0.0 < alphas[o] < np.inf else math.sqrt(size / energy)
+        start = alphas[o] if 0.0 < alphas[o] < np.inf else bound * math.sqrt(size / energy)
         alphas[o], _, pivot = search_min_max(
-            state, features, o, bounds, 1.0, start, 0.0, square, lines, x[:features]
+            state, features, o, units, bound, start, 0.0, square, lines, x[:features]
         )
         if not pivot > WEAKEST * trace:
             return False
         for i in range(features):
-            x[i] /= bounds[i]
+            x[i] /= units[i]
     return True
 
 
 @kernel
-def learn_rows(state, X, y, weights, forgetting, share, centred, bounds, alphas, coef):
+def learn_rows(
+    state, recent, count, X, y, weights, forgetting, share, centred, bounds, per_sample, alphas, coef
+):
     """Rows of features and outputs more in a record, and in `coef` the estimate of all so far, an intercept last.
 
     `share` is the least of |R_jj| over its peak: forgetting of a combination of features that nothing excites ends there.
-    With `bounds` it is the min-max estimate, and false is returned where that is not decided.
+    `recent` holds the rows of a window with their weights, of which there were `count`; an empty one is none. With
+    `bounds` it is the min-max estimate, and false is returned where that is not decided; those `per_sample` are times the
+    root of the sum of the weights.
     """
-    features = X.shape[1]
+    features, window = X.shape[1], len(recent)
     row = np.empty(state.shape[1])
     for t in range(len(X)):
         for j in range(features):
             row[j] = X[t, j]
         for j in range(y.shape[1]):
             row[features + j] = y[t, j]
+        if window == 0:
+            take_in(state, features, row, weights[t], forgetting, share, centred)
+            continue
+        place = (count[0] + t) % window
+        leaving = recent[place].copy()
+        recent[place, 0] = weights[t]
+        copy_vector(row, recent[place, 1:])
         take_in(state, features, row, weights[t], forgetting, share, centred)
+        # at the end of each window all is taken in anew, so that rounding errors do not add up
+        if leaving[0] > 0.0 and (
+            place == window - 1
+            or not _take_out(state, features, leaving[1:], leaving[0] * forgetting**window, centred)
+        ):
+            state[:] = 0.0
+            for k in range(1, window + 1):
+                copy_vector(recent[(place + k) % window, 1:], row)
+                take_in(state, features, row, recent[(place + k) % window, 0], forgetting, share, centred)
+    count[0] += len(X)
     decided = True
     if len(bounds) > 0:
-        decided = solve_min_max(state, features, bounds, alphas, coef)
+        size = math.sqrt(state[features + MASS, 0]) if per_sample else 1.0
+        decided = solve_min_max(state, features, size, bounds, alphas, coef)
     else:
         solve_least_squares(state, features, coef)
     for o in range(len(coef)):

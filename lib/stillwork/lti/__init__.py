@@ -18,9 +18,11 @@ __all__, __getattr__, __dir__ = lazy_exports(
         "structured": ("GainProof", "prove_gain"),
         "foreign": ("CancellationWarning",),
         "state_space": (
+            "MinimalRealisation",
             "StateModel",
             "from_control",
             "interconnect",
+            "minimal_realisation",
         ),
     },
 )

@@ -127,7 +127,7 @@ def _of_fractions(numerators: Any, denominators: Any, name: str) -> tuple[np.nda
     c = linalg.block_diag(*(np.hstack([part[2] for part in row]) for row in parts))
     d = np.array([[part[3].item() for part in row] for row in parts])
     if len(parts) > 1 or len(parts[0]) > 1:
-        a, b, c = minimal(a, b, c)
+        a, b, c, _ = minimal(a, b, c, NEGLIGIBLE)
     return a, b, c, d
 
 
@@ -216,18 +216,20 @@ def _without_cancelled(zeros: np.ndarray, poles: np.ndarray, name: str) -> tuple
     return np.array(left, complex), np.array(kept, complex)
 
 
-def minimal(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The part of A, B, C that the inputs reach and the outputs see.
+def minimal(
+    a: np.ndarray, b: np.ndarray, c: np.ndarray, tolerance: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """The part of A, B, C that the inputs reach and the outputs see, and the singular values that went, relative.
 
     Where poles lie many decades apart a small singular value may carry much of the response: what changes it stays.
     """
     scale = state_scale(a, b, c)
     a, b, c = a * scale / scale[:, None], b / scale[:, None], c * scale
     for share in (1.0, 1e-3, 1e-6):
-        found = _reduced(a, b, c, share * NEGLIGIBLE)
-        if len(found[0]) < len(a) and _unchanged((a, b, c), found):
+        found = _reduced(a, b, c, share * tolerance)
+        if len(found[0]) == len(a) or _unchanged((a, b, c), found[:3]):
             return found
-    return a, b, c
+    return a, b, c, np.zeros(0)
 
 
 def _unchanged(whole: tuple[np.ndarray, ...], part: tuple[np.ndarray, ...]) -> bool:
@@ -250,22 +252,24 @@ def _unchanged(whole: tuple[np.ndarray, ...], part: tuple[np.ndarray, ...]) -> b
     )
 
 
-def _reduced(a, b, c, tolerance: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    reached = _reached(a, b, tolerance)
+def _reduced(a, b, c, tolerance: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    reached, low = _reached(a, b, tolerance)
     a, b, c = reached.T @ a @ reached, reached.T @ b, c @ reached
-    seen = _reached(a.T, c.T, tolerance)
-    return seen.T @ a @ seen, seen.T @ b, c @ seen
+    seen, unseen = _reached(a.T, c.T, tolerance)
+    return seen.T @ a @ seen, seen.T @ b, c @ seen, np.append(low, unseen)
 
 
-def _reached(a: np.ndarray, b: np.ndarray, tolerance: float) -> np.ndarray:
-    """Orthonormal basis of what B reaches by A (a staircase by singular values)."""
-    basis = np.zeros((len(a), 0))
+def _reached(a: np.ndarray, b: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
+    """Orthonormal basis of what B reaches by A (a staircase by singular values), and the values that did not count."""
+    basis, gone = np.zeros((len(a), 0)), []
     new, size = b, np.linalg.norm(b)
     while new.shape[1] and basis.shape[1] < len(a):
         for _ in range(2):  # once more, for orthogonality to rounding
             new = new - basis @ (basis.T @ new)
         left, values, _ = np.linalg.svd(new, full_matrices=False)
         counts = values > tolerance * size
+        gone += list(values[~counts][: len(a) - basis.shape[1]] / (size or 1.0))
         basis = np.hstack([basis, left[:, counts]])
         new, size = a @ left[:, counts], np.linalg.norm(a)
-    return basis
+    missing = len(a) - basis.shape[1]
+    return basis, np.sort(gone)[::-1][:missing]

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float64
 
 from stillwork.base.checks import InputError
 from stillwork.base.validation import by_value, check_fields, checked
@@ -102,3 +103,16 @@ class GeneralisedPlant:
         feedback[w:inputs, outputs:], feedback[inputs:, z:outputs] = np.eye(inputs - w), np.eye(outputs - z)
         external, read = np.eye(len(feedback), w), np.eye(z, feedback.shape[1])
         return interconnect([self.model, controller], feedback, external, read)
+
+
+@checked
+def with_feedthrough(
+    controller: StateModel, feedthrough: Float64[np.ndarray, "measurements controls"]
+) -> StateModel:
+    """The controller of a plant with D22 that acts as the given one does on the plant without: K (I + D22 K)^-1."""
+    turned = np.eye(feedthrough.shape[1]) + controller.d @ feedthrough
+    c, d = np.linalg.solve(turned, controller.c), np.linalg.solve(turned, controller.d)
+    b = controller.b
+    return StateModel(
+        controller.a - b @ feedthrough @ c, b - b @ feedthrough @ d, c, d, controller.sample_time
+    )

@@ -11,11 +11,11 @@ from jaxtyping import Complex128, Float64
 from scipy import linalg
 from scipy.sparse import csgraph
 
-from stillwork.base.bounds import NonNegative, Vector
+from stillwork.base.bounds import NonNegative, Positive, Vector
 from stillwork.base.checks import InputError, nearest
 from stillwork.base.extras import require_package
 from stillwork.base.validation import by_value, check_fields, checked
-from stillwork.lti.foreign import matrices
+from stillwork.lti.foreign import matrices, minimal
 from stillwork.lti.scaling import state_scale
 
 # Above this condition of the eigenvectors, or where residues cancel by as much, they would lose more than half of the digits.
@@ -637,6 +637,63 @@ def from_control(system: StateModel) -> StateModel:
     array([-2., -1.])
     """
     return system
+
+
+@by_value
+@dataclass(frozen=True)
+class MinimalRealisation:
+    """A model without the states that its response does not need.
+
+    Parameters
+    ----------
+    model : StateModel
+    removed : array_like, shape (removed,)
+        Singular values that were counted as zero, of the size of their matrix, falling; one for each state that went.
+
+    Examples
+    --------
+    >>> lag = lti.StateModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
+    >>> lti.minimal_realisation(lag).removed
+    array([], dtype=float64)
+    """
+
+    model: StateModel
+    # the singular values that were counted as zero, of the size of their matrix, falling: as many as states that went
+    removed: Float64[np.ndarray, " removed"]
+
+
+@checked
+def minimal_realisation(model: StateModel, tolerance: Positive = 1e-10) -> MinimalRealisation:
+    """Leave out the states that the inputs do not reach or the outputs do not see.
+
+    Parameters
+    ----------
+    model : StateModel
+    tolerance : float
+        A singular value counts as zero below this part of the size of its matrix (B, then A; states balanced), where the
+        response stays the same to 1e-6 without its states.
+
+    Returns
+    -------
+    MinimalRealisation
+        The smaller model, and the singular values that went.
+
+    References
+    ----------
+    Van Dooren, The generalized eigenstructure problem in linear system theory, IEEE Trans. Automatic Control 26 (1981).
+
+    Examples
+    --------
+    >>> lag = lti.StateModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
+    >>> found = lti.minimal_realisation(lag + lag)  # two equal lags are one
+    >>> found.model.poles.real, len(found.removed)
+    (array([-1.]), 1)
+    """
+    a, b, c, removed = minimal(model.a, model.b, model.c, tolerance)
+    if len(a) == len(model.a):
+        return MinimalRealisation(model, removed)
+    labels = {"input_labels": model.input_labels, "output_labels": model.output_labels}
+    return MinimalRealisation(StateModel(a, b, c, model.d, model.sample_time, **labels), removed)
 
 
 def _places(name: str, asked: Sequence[int | str], labels: tuple[str, ...]) -> list[int]:

@@ -24,7 +24,7 @@ from stillwork.control.digital import DigitalController, without_dead_states
 from stillwork.control.feedforward import Motion
 from stillwork.control.setpoint import HALVINGS
 from stillwork.estimation.adaptive import FeLms, FeRls
-from stillwork.estimation.triangle_kernels import POWER, SINGULAR, least_share
+from stillwork.estimation.triangle_kernels import POWER, SINGULAR, least_share, start_record
 from stillwork.machine.isolation import POWERS, FeedforwardLoop
 from stillwork.machine.single_precision import in_single_precision, kept_states
 
@@ -245,7 +245,7 @@ def least_squares_code(
     Parameters
     ----------
     estimator : RecursiveLeastSquares
-        Its settings.
+        Its settings, without a window; an initial estimate has a covariance.
     features, outputs : int
         Of a row.
     name, precision : str
@@ -269,7 +269,15 @@ def least_squares_code(
 
     write = Numbers(name, precision)
     require_kind("estimator", estimator, RecursiveLeastSquares)
-    record = estimator._start(features, outputs)
+    if estimator.window is not None:
+        raise InputError("estimator.window has no C; use forgetting, or keep the rows of a window yourself")
+    given = estimator.initial_coef
+    if given is not None and estimator.initial_covariance is None:
+        raise InputError("estimator.initial_coef has C only with initial_covariance; give it")
+    first = np.zeros((outputs, features))
+    if given is not None:
+        first[:] = require_array("estimator.initial_coef", given, shape=first.shape[outputs == 1 :])
+    record = start_record(first, estimator.initial_covariance)
     forgetting = require_number("estimator.forgetting", estimator.forgetting, above=0.0, at_most=1.0)
     single = precision == "single"
     values = {
