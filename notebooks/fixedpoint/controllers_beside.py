@@ -284,12 +284,7 @@ def effort_of(machine: Machine, runs: list[ControlledRun]) -> float:
 
 # === The laws, each with its own numbers, and one search ============================================================
 
-COMPUTED, OBSERVER, ADAPTIVE, FIXED = (
-    "computed torque",
-    "disturbance observer",
-    "Slotine-Li",
-    "fixed point",
-)
+COMPUTED, OBSERVER, ADAPTIVE, FIXED = ("computed torque", "disturbance observer", "Slotine-Li", "fixed point")
 FROZEN = "Slotine-Li, not adapting"
 EACH = "fixed point with EKF an axis"
 LAWS = (COMPUTED, OBSERVER, ADAPTIVE, FIXED)
@@ -372,10 +367,7 @@ def tune(machine: str, law: str, seed: int, criterion: str) -> dict[str, float]:
 
 STORED = paths.data("fixedpoint", "tuned_controllers.csv")
 SEEDS = 11, 13, 17
-SEARCHES = [
-    *product((*LAWS, EACH), SEEDS, ["position"]),
-    *product(LAWS, SEEDS[:2], ["velocity"]),
-]
+SEARCHES = [*product((*LAWS, EACH), SEEDS, ["position"]), *product(LAWS, SEEDS[:2], ["velocity"])]
 
 
 def searched(machine: str) -> list[str]:

@@ -14,11 +14,7 @@ from experiments.fixedpoint.error_lines import approximate, paint_error_lines
 from experiments.fixedpoint.metrics import QUANTITIES, compare, judge
 from experiments.fixedpoint.noise import Noise
 from experiments.fixedpoint.noise_pictures import motion_at_rest
-from experiments.fixedpoint.oscillator import (
-    VanDerPol,
-    load_oscillator,
-    restoring_force,
-)
+from experiments.fixedpoint.oscillator import VanDerPol, load_oscillator, restoring_force
 from experiments.fixedpoint.published import (
     EXTENDED,
     INTEGRATION,
@@ -286,12 +282,7 @@ def tuned_controller(name: str, stiffness: float, noise: str, seed: int, acceler
 
 
 def tuned_alike(
-    *,
-    true_stiffness: float,
-    tuned_on: str,
-    tuning_noise: str,
-    kalman_acceleration: str,
-    seed: int,
+    *, true_stiffness: float, tuned_on: str, tuning_noise: str, kalman_acceleration: str, seed: int
 ) -> dict[str, float | tuple[float, tuple[float, float]]]:
     """Notebook 07's statements on another plant and by another search, of which `seed` is the training seed."""
     plant, model = plant_of(true_stiffness), load_oscillator()["approximate"]
@@ -413,9 +404,7 @@ def called(name: str) -> str:
 
 
 def paint_model_error(
-    errors: dict[str, dict[str, np.ndarray]],
-    heaviest: dict[str, float],
-    models: dict[str, VanDerPol],
+    errors: dict[str, dict[str, np.ndarray]], heaviest: dict[str, float], models: dict[str, VanDerPol]
 ):
     """RMS error of q' over the size of each kind of error: medians of the searches, where all their loops are stable.
 

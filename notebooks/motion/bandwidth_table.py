@@ -24,11 +24,7 @@ from experiments.motion.designs import (
 from experiments.motion.intervals import Values
 from experiments.motion.machines import published_deviations, stage
 from stillwork.control.applications import Application
-from stillwork.control.bandwidth import (
-    SIX_DB,
-    Bandwidth,
-    highest_peaks,
-)
+from stillwork.control.bandwidth import SIX_DB, Bandwidth, highest_peaks
 from stillwork.control.crossover import crossover
 from stillwork.control.loops import LoopResponse
 from stillwork.estimation.observer import NoiseIntensities

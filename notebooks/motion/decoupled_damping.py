@@ -33,11 +33,7 @@ PRINTED_SLOPES = {  # towards low frequency, of the entries (0, 1) and (1, 0), b
     name: (0.0, 0.0)
     for name in SCHEMES
     if name not in ("each mode", "minimal interaction", "total actuation")
-} | {
-    "minimal actuation": (0.0, -1.0),
-    "stiffness": (-2.0, -2.0),
-    "stiffness, second order": (-1.0, -1.0),
-}
+} | {"minimal actuation": (0.0, -1.0), "stiffness": (-2.0, -2.0), "stiffness, second order": (-1.0, -1.0)}
 JUDGED = {  # of which scheme, and of which of the two entries
     "band-pass": ("band-passes", (0, 1)),
     "common-band-pass": ("common band-pass", (0, 1)),

@@ -64,10 +64,7 @@ def placement_error(
 
 
 def typical_placement_error(
-    model: ModalModel,
-    increase: float | ArrayLike,
-    sample_time: float,
-    method: str,
+    model: ModalModel, increase: float | ArrayLike, sample_time: float, method: str
 ) -> float:
     """Median of `placement_error` over machines that differ by a little: the size of rounding without its luck.
 

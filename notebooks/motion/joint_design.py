@@ -666,11 +666,7 @@ def paint_joint(
 
 
 def appendix(
-    page,
-    *,
-    stored: Mapping[str, Stored],
-    judges: Mapping[float, list[ModalModel]],
-    fresh: Mapping,
+    page, *, stored: Mapping[str, Stored], judges: Mapping[float, list[ModalModel]], fresh: Mapping
 ) -> None:
     """What the page of motion/27 judges beside its answer."""
     page.text("""## Robust by design

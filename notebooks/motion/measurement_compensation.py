@@ -342,12 +342,7 @@ feedthrough (Fig. 3.17). Here it is constant without feedthrough, too; the noise
 
 
 def _of_soft_sensor(
-    page,
-    plant: ModalModel,
-    block: StateModel,
-    original: Pid,
-    position: int,
-    wide: np.ndarray,
+    page, plant: ModalModel, block: StateModel, original: Pid, position: int, wide: np.ndarray
 ) -> None:
     page.text(r"""
 ## Soft sensing

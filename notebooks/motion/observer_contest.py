@@ -5,25 +5,10 @@ from functools import lru_cache
 import numpy as np
 import pandas as pd
 
-from contest.noise_map import (
-    MAPPED,
-    PUBLIC,
-    ROBUST,
-    SAYING,
-    ahead_of,
-    crossings,
-    flexible_errors,
-    leads,
-)
+from contest.noise_map import MAPPED, PUBLIC, ROBUST, SAYING, ahead_of, crossings, flexible_errors, leads
 from contest.nominal import OwnObserver
 from contest.plants import PLANTS, plant_of
-from contest.ranking import (
-    against,
-    block,
-    leave_one_out,
-    loops,
-    robustness,
-)
+from contest.ranking import against, block, leave_one_out, loops, robustness
 from contest.record import record_standings
 from contest.scores import ENTRANTS, Scan, scores_of
 from contest.tuning import settings_for

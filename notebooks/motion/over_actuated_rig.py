@@ -15,13 +15,7 @@ from scipy.optimize import linear_sum_assignment
 from experiments.motion.intervals import Values
 from experiments.motion.loop_conditions import slope
 from experiments.motion.pictures import add_magnitude, highest, paint_magnitudes, plain
-from experiments.motion.rig import (
-    POSITIONS,
-    Geometry,
-    assumed_geometry,
-    plate_modes,
-    published,
-)
+from experiments.motion.rig import POSITIONS, Geometry, assumed_geometry, plate_modes, published
 from experiments.motion.rig_designs import (
     CASES,
     COLOURS,

@@ -335,13 +335,7 @@ def _parameter_errors(estimates: np.ndarray, truth: tuple[float, ...], error: st
 # === Notebook 04 ====================================================================================================
 
 # Other parameters and periods of the square wave.
-OTHER_CASES = [
-    ((1.0, 0.5), 4),
-    ((1.0, -0.5), 20),
-    ((0.5, 1.0), 8),
-    ((2.0, 1.0), 20),
-    ((0.3, 0.1), 20),
-]
+OTHER_CASES = [((1.0, 0.5), 4), ((1.0, -0.5), 20), ((0.5, 1.0), 8), ((2.0, 1.0), 20), ((0.3, 0.1), 20)]
 
 
 def noise_ratios(
