@@ -81,32 +81,34 @@ def places(names: Collection[str]) -> dict[str, tuple[str, str]]:
     InputError
         When a name says both.
     """
-    found = {}
-    for name in names:
-        text, more = re.sub(r"\s#\d+\b", "", name), 1
-        while more:
-            text, more = re.subn(r"\([^()]*\)", " ", text)  # units
-        text = re.sub(ARROW, " -> ", text, flags=re.IGNORECASE)
-        arrow = "->" in text
-        ends = None if arrow else re.search(r"(\S*\d\S*?)\s*/\s*(\S*\d\S*)", text) or _over_input(text)
-        numbered = re.findall(r"([^\W\d_]*)[\s_.\[{#-]*(\d+)", text)
-        kinds = [_kind(word) for word, _ in numbered]
-        words = [number for _, number in numbered]
-        if len(numbered) == 2 and all(kinds):
-            words = ["".join(each) for each in numbered]
-        if ends:
-            words = [each.strip("[]{}_,") for each in ends.groups()]
-        if len(words) == 1 and len(words[0]) == 2:
-            words = list(words[0])
-        if len(words) != 2:
-            continue
-        turned = kinds == ["input", "output"]
-        if (turned and ends) or (arrow and kinds == ["output", "input"]):
-            raise InputError(
-                f"{name}: it is not clear which is the output; write it as output over input, such as y2/u1"
-            )
-        found[name] = (words[1], words[0]) if turned or arrow else (words[0], words[1])
-    return found
+    return {name: place for name in names if (place := _place(name))}
+
+
+def _place(name: str) -> tuple[str, str] | None:
+    text, more = re.sub(r"\s#\d+\b", "", name), 1
+    while more:
+        text, more = re.subn(r"\([^()]*\)", " ", text)  # units
+    text = re.sub(ARROW, " -> ", text, flags=re.IGNORECASE)
+    arrow = "->" in text
+    ends = None if arrow else re.search(r"(\S*\d\S*?)\s*/\s*(\S*\d\S*)", text) or _over_input(text)
+    numbered = re.findall(r"([^\W\d_]*)[\s_.\[{#-]*(\d+)", text)
+    kinds = [_kind(word) for word, _ in numbered]
+    words = [number for _, number in numbered]
+    if len(numbered) == 2 and all(kinds):
+        words = ["".join(each) for each in numbered]
+    if ends:
+        words = [each.strip("[]{}_,") for each in ends.groups()]
+    if len(words) == 1 and len(words[0]) == 2:
+        words = list(words[0])
+    if len(words) != 2:
+        return None
+    turned = kinds == ["input", "output"]
+    if (turned and ends) or (arrow and kinds == ["output", "input"]):
+        raise InputError(
+            f"{name}: it is not clear which is the output; write it as output over input, such as y2/u1"
+        )
+    first, second = words
+    return (second, first) if turned or arrow else (first, second)
 
 
 def _over_input(text: str) -> re.Match | None:

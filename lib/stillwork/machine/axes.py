@@ -248,7 +248,6 @@ class _Task:
         self.make, self.highest = make, [request.highest_hz] * len(wanted.names)
         self.loops: list[DesignedLoop] = []
         self.modes: MatrixModes | None = None
-        self.unseen: dict[int, str] = {}  # up to where one mode beyond the band could break an axis's promise
         parts = np.abs(self.closed.parts()).sum(axis=1) / np.abs(self.closed.parts().sum(axis=1))
         # Where actuators pull against each other an axis's gain moves by more than theirs do.
         self.gain = request.shares.get("gain", 0.0) * parts
@@ -282,13 +281,15 @@ class _Task:
             highest_hz=self.highest[k],
             uncertainty=request.shares | ({"gain": float(self.gain[k])} if self.gain[k] else {}),
         )
-        self.unseen[k] = lines[1].partition("could break it up to ")[2].partition(":")[0]
         self.loops[k : k + 1] = [load_design(str(folder / f"{name}.json"))]
         return lines
 
-    def slow_down(self, lines: list[list[str]]) -> list[str]:
-        """Lower bandwidths until all that is checked holds: of one axis, or of all, whatever costs least."""
-        history: list[str] = []
+    def slow_down(self, lines: list[list[str]]) -> list[tuple[int, str]]:
+        """Lower bandwidths until all that is checked holds: of one axis, or of all, whatever costs least.
+
+        Returns the axes that were designed again, in order, and what for.
+        """
+        history: list[tuple[int, str]] = []
         again = np.zeros(len(self.loops))
         hard = [Place(0.0, np.ones(len(self.wanted.matrix.inputs)))]
         self.modes = self.closed.with_modes().modes
@@ -301,9 +302,8 @@ class _Task:
                     self.gain[k] += (MORE * (judged.excess[k] - 1) + LEAST_MORE) * AGAIN ** again[k]
                     again[k] += 1
                     lines[k] = self.design(int(k))
-                    history.append(
-                        f"{self.wanted.names[k]} designed for a gain of ± {100 * self.gain[k]:.2g} %, for what the others make of it"
-                    )
+                    gain = f"{100 * self.gain[k]:.2g} %, for what the others make of it"
+                    history.append((int(k), f"designed for a gain of ± {gain}"))
                 continue
             hard.append(self.closed.places()[judged.worst])
             slower = self._least_slower(hard)
@@ -313,9 +313,8 @@ class _Task:
                 before = self.loops[k].made["design_hz"]
                 self.highest[k] = float(SLOWER * slower[k] * before)
                 lines[k] = self.design(int(k))
-                history.append(
-                    f"{self.wanted.names[k]} slowed from {in_hertz(before)} to {in_hertz(self.highest[k])} Hz (design parameter)"
-                )
+                hertz = f"{in_hertz(before)} to {in_hertz(self.highest[k])} Hz (design parameter)"
+                history.append((int(k), f"slowed from {hertz}"))
         raise InputError(f"{self.wanted.matrix.source}: {_why_not(self, judged)}")
 
     def _least_slower(self, places: Sequence[Place]) -> np.ndarray | None:
@@ -342,7 +341,7 @@ def _why_not(task: _Task, judged: Judged) -> str:
     )
 
 
-def _write(task: _Task, low: LowEnd | None, history: list[str], out: Path) -> list[str]:
+def _write(task: _Task, low: LowEnd | None, history: list[tuple[int, str]], out: Path) -> list[str]:
     """The files of the whole, and the answer in lines."""
     request, axes, wanted, judged = task.request, task.axes, task.wanted, task.closed.judged()
     matrix, count = wanted.matrix, len(wanted.names)
@@ -371,7 +370,7 @@ def _write(task: _Task, low: LowEnd | None, history: list[str], out: Path) -> li
         f"{_of_modes(task)}; not promised: what lies between the lines or beyond them{_unseen(task)}",
         matrix.order,
         *matrix.notes,
-        *history,
+        *(f"{wanted.names[k]} {words}" for k, words in history),
     ]
     held = {
         "stable": judged.stable,
@@ -407,10 +406,11 @@ def _write(task: _Task, low: LowEnd | None, history: list[str], out: Path) -> li
     }
     files = {**code, "axes.json": json.dumps(about, indent=1, allow_nan=False) + "\n"}
     files["report.html"] = _page(task, low, judged, sigma, answer)
-    for name, folder in zip(wanted.names, folders, strict=True):
-        changes = [line for line in history if line.startswith((f"{name} slowed", f"{name} designed"))]
+    for number, folder in enumerate(folders):
         own = task.folder / folder / "report.html"
-        said = "".join(f"\n<p>Among the other axes: {html.escape(line)}</p>" for line in changes)
+        said = "".join(
+            f"\n<p>Among the other axes: {html.escape(words)}</p>" for k, words in history if k == number
+        )
         own.write_text(own.read_text(encoding="utf-8").replace("</h1>", f"</h1>{said}", 1), encoding="utf-8")
     for name, text in files.items():
         (task.folder / name).write_text(text, encoding="utf-8")
@@ -446,29 +446,13 @@ def _page(
             ["low end", f"{kind} is a real matrix up to {low.end_hz:.4g} Hz within {100 * low.misfit:.2g} %, condition "
              f"{low.condition:.3g} with all units scaled away"]
         )  # fmt: skip
-    names = list(wanted.names)
-    crossed = list(
-        zip(
-            task.closed.crossed(task.closed.places()[:1]),
-            task.closed.crossed(task.closed.places()),
-            strict=True,
-        )
-    )
-    crossing = [
-        [name, *(f"{here:.3g} ({most:.3g})" for here, most in zip(*pair, strict=True))]
-        for name, pair in zip(names, crossed, strict=True)
-    ]
     tables = [
         ("T_y, rows: axes", axes.sensing, matrix.outputs, wanted.names),
         ("T_u, columns: axes", axes.actuation, wanted.names, matrix.inputs),
     ]
     body = "".join(f"<p>{html.escape(one_line(line))}</p>\n" for line in answer)
     body += table(head, rows) + table([], facts)
-    if len(names) > 1:
-        body += (
-            "<p>Largest |S_jk| as factors, in the middle (in brackets: at all places of the box): error of the row's axis over the "
-            "setpoint of the column's, each in its own unit. Beside the diagonal nothing is promised.</p>"
-        ) + table(["", *names], crossing)
+    body += _crossing(task) if len(wanted.names) > 1 else ""
     body += "<h2>The decoupling</h2>\n" + "".join(
         f"<p>{words}</p>" + table(["", *columns], [[n, *(f"{x:.5g}" for x in row)] for n, row in zip(side, values, strict=True)])
         for words, values, columns, side in tables
@@ -485,9 +469,25 @@ def _page(
     )  # fmt: skip
 
 
+def _crossing(task: _Task) -> str:
+    """What the axes make of each other's setpoints, in the middle of the box and all over it."""
+    names, places = task.wanted.names, task.closed.places()
+    rows = [
+        [name, *(f"{here:.3g} ({most:.3g})" for here, most in zip(*pair, strict=True))]
+        for name, *pair in zip(
+            names, task.closed.crossed(places[:1]), task.closed.crossed(places), strict=True
+        )
+    ]
+    return (
+        "<p>Largest |S_jk| as factors, in the middle (in brackets: at all places of the box): error of the row's axis over the "
+        "setpoint of the column's, each in its own unit. Beside the diagonal nothing is promised.</p>"
+    ) + table(["", *names], rows)
+
+
 def _unseen(task: _Task) -> str:
     """Up to where one mode beyond the band could break the promise of each axis."""
-    found = [f"{task.wanted.names[k]} up to {hertz}" for k, hertz in sorted(task.unseen.items()) if hertz]
+    pairs = zip(task.wanted.names, task.loops, strict=True)
+    found = [f"{name} up to {hertz:.4g} Hz" for name, each in pairs if (hertz := each.made["breaking_hz"])]
     return f"; one mode more there could break the promise of {', of '.join(found)}" if found else ""
 
 

@@ -24,6 +24,7 @@ PARTS, MANY = (
     (-1.0, -0.5, 0.5, 1.0),
     48,
 )  # of its share, to which each mode is moved; places of all modes at once
+UNCOUNTED = "the lines are too far apart, or end too early, to count turns"
 MOST_SIGNS = 64  # of gains of the actuators, that are tried
 
 
@@ -82,10 +83,9 @@ class AxesLoops(NamedTuple):
                 np.arange(1, len(signs) - 1), MOST_SIGNS - 2, replace=False
             )
             signs = signs[[0, *some, -1]]
-        found = [
-            Place(move, 1 + gain * sign) for move in moves for sign in (signs if gain else [np.zeros(inputs)])
-        ]
-        return [Place(0.0, np.ones(inputs)), *found, *self._of_single_modes(gain)]
+        signs = signs if gain else np.zeros((1, inputs))
+        together = [Place(move, 1 + gain * sign) for move, sign in product(moves, signs)]
+        return [Place(0.0, np.ones(inputs)), *together, *self._of_single_modes(gain)]
 
     def _of_single_modes(self, gain: float) -> list[Place]:
         """Each mode moved by itself in all entries, all gains high or low; then all modes and gains at random ends."""
@@ -114,7 +114,7 @@ class AxesLoops(NamedTuple):
         omega = self.lines()
         parts = self.parts()
         own = (parts / parts.sum(axis=1, keepdims=True)).real @ place.gain
-        late = self._late(omega, self.delay) / omega**2
+        late = _late(omega / self.rate, self.delay) / omega**2
         return -self.modes.moved(omega, place.modes) * late[:, None, None] * own
 
     def alone(self, places, slower: np.ndarray | None = None) -> list[np.ndarray]:
@@ -128,7 +128,7 @@ class AxesLoops(NamedTuple):
                 if modes is not None and self.modes is not None:
                     plant = self.modes.own(plant, modes)
                 model = plant.frequency_response(omega / (1 + move))[0, 0] / (1 + move) ** 2
-                late = self._late(omega, each.made["delay_samples_of_the_loop"])
+                late = _late(omega / self.rate, each.made["delay_samples_of_the_loop"])
                 held.append(model * late + _aliases(each, omega))
             found.append(1 + np.stack(held, axis=1) * self._controllers(move, slower) * (own @ gain))
         return found
@@ -151,11 +151,6 @@ class AxesLoops(NamedTuple):
         first = np.searchsorted(self.matrix.hertz, self.band_hz[0])
         return self.matrix.accelerance[first : first + count]
 
-    def _late(self, omega: np.ndarray, delay: float) -> np.ndarray:
-        """The hold, and a delay in samples."""
-        turn = 1j * omega / self.rate
-        return -np.expm1(-turn) / turn * np.exp(-turn * delay)
-
     def judge(self, places, slower: np.ndarray | None = None) -> Judged:
         """All loops at places of the box, the middle first; with `slower` as of `gains`."""
         return judge(self.gains(places, slower), self.alone(places, slower))
@@ -172,7 +167,8 @@ class AxesLoops(NamedTuple):
         Aliases are taken from the model of each axis, and so off the diagonal there are none.
         """
         omega = self.lines(move)
-        seen = self._seen(len(omega)) * (-self._late(omega, self.delay) / omega**2)[:, None, None] * gain
+        late = _late(omega / self.rate, self.delay) / omega**2
+        seen = -self._seen(len(omega)) * late[:, None, None] * gain
         if not inner:
             return seen
         position = self.axes.of(seen)
@@ -209,9 +205,14 @@ class AxesLoops(NamedTuple):
         if judged.stable:
             return "stable, whichever axes are open"
         if not judged.counted:
-            return "the lines are too far apart, or end too early, to count turns"
+            return UNCOUNTED
         sets = "; ".join(" and ".join(self.names[k] for k in each) for each in judged.unstable[:3])
         return f"unstable with {sets} closed"
+
+
+def _late(turn: np.ndarray, delay: float) -> np.ndarray:
+    """The hold, and a delay in samples, at angles a sample."""
+    return -np.expm1(-1j * turn) / (1j * turn) * np.exp(-1j * turn * delay)
 
 
 def _aliases(designed: DesignedLoop, omega: np.ndarray) -> np.ndarray:

@@ -40,7 +40,14 @@ from stillwork.machine.machine_designs import (
     uses_of,
 )
 from stillwork.machine.progress import count_steps
-from stillwork.machine.promise import beyond, checked_biquads, over_the_box, over_the_phases, recheck
+from stillwork.machine.promise import (
+    beyond,
+    breaking_hz,
+    checked_biquads,
+    over_the_box,
+    over_the_phases,
+    recheck,
+)
 from stillwork.machine.readings import build_explained
 
 MOST_LATE = 20  # samples either way, of a delay's uncertainty
@@ -395,6 +402,7 @@ def _about(given: _Given, made: Designed) -> dict:
         "delay_samples_asked": request.delay,
         "delay_samples_of_the_loop": made.delay,
         "design_hz": safe.design_hz,
+        "breaking_hz": breaking_hz(made, best),
         "others": [
             {"file": each.name, "sha256": _sha256(each), "resonances_hz": other.resonances_hz.tolist()}
             for each, other in zip(given.sources[1:], made.others, strict=True)

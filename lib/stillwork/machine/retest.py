@@ -23,7 +23,15 @@ from stillwork.identification.machine_files import MachineFile, load_machine, lo
 from stillwork.identification.matrix_files import load_matrix
 from stillwork.lti.modal import ModalModel
 from stillwork.machine import pictures
-from stillwork.machine.axes_loops import FORMAT, LOWEST, AxesLoops, Place, paint_axes, paint_decoupling
+from stillwork.machine.axes_loops import (
+    FORMAT,
+    LOWEST,
+    UNCOUNTED,
+    AxesLoops,
+    Place,
+    paint_axes,
+    paint_decoupling,
+)
 from stillwork.machine.decoupled import own_sensitivities, turns
 from stillwork.machine.designed_loop import DesignedLoop, load_design
 from stillwork.machine.hardware import ALLOWED_DB, own_functions
@@ -33,11 +41,29 @@ from stillwork.machine.noisy_peak import ABOUT, largest
 from stillwork.machine.readings import believed
 
 AROUND = 1.5  # the crossing: lines from which the gain of a machine in its loop is read
-INSIDE, HOLDS = "in the box", "the promise holds"
 MEDIAN = (
     1.4826 * 1.2533
 )  # deviation of a median of Gaussian numbers, over their median deviation by the root of how many
 STRANGE = 5.0  # times the machine of the design, or less of it: another machine, or another quantity
+
+
+CHANGED = ["", "at the design", "now", "change", ""]
+
+
+class _Change(NamedTuple):
+    """A number of the machine at the design and now, in words, and whether it is in the box; None: not sure."""
+
+    what: str
+    before: str
+    now: str
+    change: str
+    inside: bool | None
+
+    @property
+    def row(self) -> list[str]:
+        """For a table with the head `CHANGED`."""
+        held = {True: "in the box", False: "outside the box", None: "not sure to be in the box"}
+        return [*self[:-1], held[self.inside]]
 
 
 def retest_file(
@@ -95,10 +121,9 @@ def retest_file(
     else:
         found = _measured_machine(designed, file, fit_hz, loop_hz, load_options)
     peaks = {where: _peaks(loop, designed.controller) for where, loop in found.loops.items()}
-    outside = [row[0] for row in found.changes if row[-1] != INSIDE]
-    verdict = f"{Path(file).name} with {Path(controller).name}: {_verdict(found, peaks)}"
+    verdict = _verdict(found.stable and not found.turns, peaks)
     answer = [
-        verdict + (f"; not in the box: {', '.join(outside)}" if outside else ""),
+        f"{Path(file).name} with {Path(controller).name}: {verdict}{_outside(found.changes)}",
         "; ".join(
             f"{where}: {', '.join(f'{SHOWN[name]} {peak}' for name, peak in each.items())}"
             for where, each in peaks.items()
@@ -107,7 +132,7 @@ def retest_file(
     findings = [
         *([] if found.stable else ["the loop is unstable on the model of this response"]),
         *([f"extra turns around -1 on the measurement: {found.turns}"] if found.turns is not None else []),
-        *(" ".join(row) for row in found.changes if row[-1] != INSIDE),
+        *(" ".join(each.row) for each in found.changes if not each.inside),
     ]
     target.write_text(_page(designed, found, file, [*answer, *findings]), encoding="utf-8")
     return [*answer, f"written: {target}", *(findings if verbose else [])]
@@ -130,21 +155,17 @@ def _retest_axes(
         name: {"|S_kk|": _peak(omega, own[:, k], 1 / alone[:, k])} for k, name in enumerate(closed.names)
     }
     changes = _changed_axes(closed, about)
-    verdict = _verdict(_Found({}, True, count if enough else None, []), peaks)
-    stability = f"extra turns of det(I + L) around zero: {count}"
-    if not enough:
-        stability = "the lines are too far apart, or end too early, to count turns"
-        verdict = f"not decided: {stability}; measure finer" if verdict == HOLDS else verdict
+    stability = f"extra turns of det(I + L) around zero: {count}" if enough else UNCOUNTED
+    verdict = _verdict(not count if enough else None, peaks)
     if (count or not enough) and (strange := _strange(gain, alone)):
         verdict = f"the promise does not hold: {strange}"
-    outside = ", ".join(row[0] for row in changes if row[-1] != INSIDE)
     answer = [
-        f"{matrix.source} with {controller.name}: {verdict}{outside and f'; not in the box: {outside}'}",
+        f"{matrix.source} with {controller.name}: {verdict}{_outside(changes)}",
         "; ".join(f"{name} |S_kk| {each['|S_kk|']}" for name, each in peaks.items()),
     ]
     findings = [stability, closed.matrix.order, *matrix.notes]
     body = "".join(f"<p>{html.escape(line)}</p>\n" for line in [*answer, *findings])
-    body += f"<h2>What has changed</h2>\n{table(['', 'at the design', 'now', 'change', ''], changes)}"
+    body += f"<h2>What has changed</h2>\n{table(CHANGED, [each.row for each in changes])}"
     body += picture(paint_decoupling(closed), "responses before and behind the decoupling")
     body += picture(paint_axes(closed), "sensitivities of all axes")
     held = html.escape(inspect_file(file))
@@ -172,9 +193,9 @@ def _strange(gain: np.ndarray, alone: np.ndarray) -> str:
     )
 
 
-def _changed_axes(closed: AxesLoops, about: Table) -> list[list[str]]:
-    """Rows of `_changes` of each axis, of the model that is fitted to its own entry of the new matrix."""
-    omega, rows = 2 * np.pi * closed.matrix.hertz, []
+def _changed_axes(closed: AxesLoops, about: Table) -> list[_Change]:
+    """`_changes` of each axis, of the model that is fitted to its own entry of the new matrix."""
+    omega, changes = 2 * np.pi * closed.matrix.hertz, []
     inner = closed.axes.of(closed.matrix.accelerance)
     for k, (named, designed) in enumerate(zip(about["axes"], closed.loops, strict=True)):
         seen = Identified(omega, inner[:, k, k], np.full(len(omega), np.nan))
@@ -184,14 +205,20 @@ def _changed_axes(closed: AxesLoops, about: Table) -> list[list[str]]:
                 file, modes_hz=[], fit_hz=closed.band_hz, mirrored_sensor=False, rigid=True
             )
         except InputError as error:
-            rows.append([f"{named['name']}: model", "", "", "", f"none: {error}"])
+            changes.append(_Change(f"{named['name']}: model", "", "none", str(error), False))
             continue
         late = max(machine.fit.delay, 0.0) if machine.fit else 0.0
         found = _changes(designed.loop.plant, machine, designed.made, late)
         if TURNED in machine.notes:
-            found.append(["sign", "along its force", "against it", "", "outside the box"])
-        rows += [[f"{named['name']}: {row[0]}", *row[1:]] for row in found]
-    return rows
+            found.append(_Change("sign", "along its force", "against it", "", False))
+        changes += [each._replace(what=f"{named['name']}: {each.what}") for each in found]
+    return changes
+
+
+def _outside(changes: list[_Change]) -> str:
+    """What is not in the box, behind a verdict."""
+    outside = ", ".join(each.what for each in changes if not each.inside)
+    return f"; not in the box: {outside}" if outside else ""
 
 
 class _Found(NamedTuple):
@@ -200,7 +227,7 @@ class _Found(NamedTuple):
     loops: dict[str, Loop]  # on the model, on the measurement
     stable: bool
     turns: int | None  # around -1, that the measured loop makes more than that of the model
-    changes: list[list[str]]  # of the machine
+    changes: list[_Change]  # of the machine
 
 
 def _measured_in_the_loop(designed: DesignedLoop, file: str, loop_hz, load_options: Mapping) -> _Found:
@@ -242,19 +269,20 @@ def _measured_machine(designed: DesignedLoop, file: str, fit_hz, loop_hz, load_o
     return _Found(loops, modelled.is_stable(designed.pid), turns, changes)
 
 
-def _verdict(found: _Found, peaks: dict[str, dict[str, "Peak"]]) -> str:
+def _verdict(stable: bool | None, peaks: dict[str, dict[str, "Peak"]]) -> str:
+    """By whether the loops are stable, None where that is not known, and by the limits of their peaks."""
     lowest, highest = np.max([peak.limits for each in peaks.values() for peak in each.values()], axis=0)
-    if not found.stable or found.turns or lowest > ALLOWED_DB:
+    if stable is False or lowest > ALLOWED_DB:
         return "the promise does not hold; design again from this response"
-    if highest <= ALLOWED_DB:
-        return HOLDS
-    return "not decided: at this noise the promise may hold or not; average longer near the peaks, or measure more lines"
+    if highest > ALLOWED_DB:
+        return "not decided: at this noise the promise may hold or not; average longer near the peaks, or measure more lines"
+    return "the promise holds" if stable else f"not decided: {UNCOUNTED}; measure finer"
 
 
 def _page(designed: DesignedLoop, found: _Found, file: str, lines: list[str]) -> str:
-    head = ["", "at the design", "now", "change", ""]
     body = [f"<p>{html.escape(line)}</p>" for line in lines]
-    body += [f"<h2>What has changed</h2>\n{table(head, found.changes)}"] if found.changes else []
+    if found.changes:
+        body.append(f"<h2>What has changed</h2>\n{table(CHANGED, [each.row for each in found.changes])}")
     drawn = paint_retest(designed.loop, found.loops, designed.controller)
     body += [f"<h2>The loop</h2>\n{picture(drawn, 'sensitivities, at the design and now')}"]
     return page(
@@ -297,8 +325,8 @@ def _from_sensitivity(
     )
 
 
-def _gain_change(before: Loop, seen: Loop, pid: Pid, made: Table, name: str) -> list[list[str]]:
-    """A row: the machine that follows from a measured sensitivity over that of the design, about the crossing."""
+def _gain_change(before: Loop, seen: Loop, pid: Pid, made: Table, name: str) -> list[_Change]:
+    """The machine that follows from a measured sensitivity over that of the design, about the crossing."""
     crossing = before.crossing_hz(pid)
     near = np.abs(np.log(seen.omega / (2 * np.pi * crossing))) < np.log(AROUND)
     if not near.any():
@@ -321,65 +349,52 @@ def _gain_change(before: Loop, seen: Loop, pid: Pid, made: Table, name: str) -> 
     )
     change, box = abs(ratio) - 1, made.table("uncertainty")
     share = box["mass"] + box["gain"]
-    held = INSIDE if abs(change) + spread <= share else "not sure to be in the box"
-    held = "outside the box" if abs(change) - spread > share else held
+    held = True if abs(change) + spread <= share else None
+    held = False if abs(change) - spread > share else held
     shown = f"{100 * change:+.2g}{f' ± {100 * spread:.2g}' * (spread > 1e-5)} %"
-    return [[f"gain near {crossing:.3g} Hz", "1", f"{abs(ratio):.4g}", shown, held]]
+    return [_Change(f"gain near {crossing:.3g} Hz", "1", f"{abs(ratio):.4g}", shown, held)]
 
 
-def _changes(designed: ModalModel, machine: Machine, made: Table, late: float) -> list[list[str]]:
-    """Rows of numbers then and now: each resonance and the nearest that was found, the rigid body, the delay."""
+def _changes(designed: ModalModel, machine: Machine, made: Table, late: float) -> list[_Change]:
+    """Each resonance and the nearest that was found, the rigid body, the delay."""
     now, box = machine.sensors[0], made.table("uncertainty")
     masses = made["mass"], machine.mass
-    rows, parts = [], [model.input_shapes[:, 0] * model.output_shapes[0] for model in (designed, now)]
+    found, parts = [], [model.input_shapes[:, 0] * model.output_shapes[0] for model in (designed, now)]
     spread = np.zeros(len(now.frequencies))
     if machine.fit and machine.fit.residue_deviation.size:
         spread = NORMAL * machine.fit.residue_deviation[1 - now.rigid_modes :]
+    frequency, residue = (
+        np.broadcast_to(box[name], designed.frequencies.shape) for name in ("frequency", "residue")
+    )
     for k in range(1, len(designed.frequencies)):
         then = designed.frequencies[k]
+        hertz = then / (2 * np.pi)
         if len(now.frequencies) < 2:
-            rows.append(["resonance", f"{then / (2 * np.pi):.5g} Hz", "none", "", "outside the box"])
+            found.append(_Change("resonance", f"{hertz:.5g} Hz", "none", "", False))
             continue
         j = 1 + int(np.abs(np.log(now.frequencies[1:] / then)).argmin())
-        share = np.broadcast_to(box["frequency"], designed.frequencies.shape)[k]
-        change = now.frequencies[j] / then - 1
-        held = INSIDE if abs(change) <= share else "outside the box"
-        hertz = then / (2 * np.pi), now.frequencies[j] / (2 * np.pi)
-        rows.append(["resonance", *(f"{each:.5g} Hz" for each in hertz), f"{100 * change:+.2g} %", held])
+        pair = [f"{each / (2 * np.pi):.5g} Hz" for each in (then, now.frequencies[j])]
+        found.append(_relative("resonance", *pair, now.frequencies[j] / then - 1, frequency[k]))
+        pair = [f"{part[n] * mass:.3g}" for part, n, mass in zip(parts, (k, j), masses, strict=True)]
+        share = residue[k] + box["gain"] + spread[j - 1] + 1e-6
         change = parts[1][j] / parts[0][k] - 1
-        share = np.broadcast_to(box["residue"], designed.frequencies.shape)[k] + box["gain"] + spread[j - 1]
-        shown = [
-            f"{part[number] * mass:.3g}" for part, number, mass in zip(parts, (k, j), masses, strict=True)
-        ]
-        held = INSIDE if abs(change) <= share + 1e-6 else "outside the box"
-        rows.append([f"part of the mode at {hertz[0]:.4g} Hz", *shown, f"{100 * change:+.2g} %", held])
-    change = masses[1] / masses[0] - 1
-    held = INSIDE if abs(change) <= box["mass"] + box["gain"] else "outside the box"
-    rows.append(
-        ["mass", *(f"{each:.4g} {machine.mass_unit}" for each in masses), f"{100 * change:+.2g} %", held]
-    )
+        found.append(_relative(f"part of the mode at {hertz:.4g} Hz", *pair, change, share))
+    pair = [f"{each:.4g} {machine.mass_unit}" for each in masses]
+    found.append(_relative("mass", *pair, masses[1] / masses[0] - 1, box["mass"] + box["gain"]))
     if designed.drag or now.drag:
-        frictions = designed.drag, now.drag
-        held = (
-            "in the box"
-            if abs(now.drag - designed.drag) <= box.get("friction", 0.0) + 1e-9
-            else "outside the box"
-        )
-        rows.append(
-            [
-                "viscous friction over mass",
-                *(f"{friction:.3g} 1/s" for friction in frictions),
-                f"{now.drag - designed.drag:+.2g} 1/s",
-                held,
-            ]
-        )
-    samples = made["delay_samples_of_the_loop"] - made["delay_samples_asked"]
-    then = samples / made["rate_hz"]
-    held = INSIDE if abs(late - then) <= box["delay"] + 1e-9 else "outside the box"
-    rows.append(
-        ["delay of the response", *(f"{1e6 * each:.3g} us" for each in (then, late)), f"{1e6 * (late - then):+.2g} us", held]
-    )  # fmt: skip
-    return rows
+        pair = [f"{each:.3g} 1/s" for each in (designed.drag, now.drag)]
+        change = now.drag - designed.drag
+        held = abs(change) <= box.get("friction", 0.0) + 1e-9
+        found.append(_Change("viscous friction over mass", *pair, f"{change:+.2g} 1/s", held))
+    then = (made["delay_samples_of_the_loop"] - made["delay_samples_asked"]) / made["rate_hz"]
+    pair = [f"{1e6 * each:.3g} us" for each in (then, late)]
+    held = abs(late - then) <= box["delay"] + 1e-9
+    found.append(_Change("delay of the response", *pair, f"{1e6 * (late - then):+.2g} us", held))
+    return found
+
+
+def _relative(what: str, before: str, now: str, change: float, share: float) -> _Change:
+    return _Change(what, before, now, f"{100 * change:+.2g} %", bool(abs(change) <= share))
 
 
 class Peak(NamedTuple):
