@@ -167,7 +167,7 @@ def test_a_geometry_is_taken_with_more_sensors_than_axes(tmp_path, untuned):
         tmp_path / "plant.npz", **{"frequency (Hz)": HZ, "h (m/s^2/N)": accelerance(omega, ratio, out, into)}
     )
     text = f'[decoupling]\nresponse = "plant.npz"\naxes = ["z", "tilt"]\nsensing = {sensing.tolist()}\n'
-    (tmp_path / "my.toml").write_text(text + 'units = [["m", "N"], ["rad", "N m"]]\n')
+    (tmp_path / "my.toml").write_text(text + 'units = [["m", "N"], ["rad", "N"]]\n')
     said = design_file(str(tmp_path / "my.toml"), str(tmp_path / "machine"), RATE, uncertainty=BOX)
     radius, peaks = closed_loop(sampled(omega, ratio, out, into), tmp_path / "machine")
     assert "sensing as given; z:" in said[0] and radius < 1 and peaks.max() < 6.02
@@ -177,7 +177,7 @@ def test_a_geometry_is_taken_with_more_sensors_than_axes(tmp_path, untuned):
         and said[3].startswith("among the places each mode moves by itself")
         and said[3].endswith("; not promised: what lies between the lines or beyond them")
     )
-    assert _controllers(tmp_path / "machine")[1]["provenance"]["mass_unit"] == "kg m^2"
+    assert _controllers(tmp_path / "machine")[1]["provenance"]["mass_unit"] == "N/(rad/s^2)"
 
 
 def test_what_is_missing_of_a_geometry_is_named(tmp_path):
@@ -214,7 +214,18 @@ def test_columns_of_mixed_units_are_refused_with_a_cure_that_keeps_them_true(tmp
     np.savez(tmp_path / "plant.npz", **{"frequency (Hz)": HZ, "h": seen})
     text = 'sensing = [[1.0, 0.0], [0.0, 1.0]]\nunits = [["m", "N"], ["rad", "N m"]]\n'
     (tmp_path / "my.toml").write_text(f'[decoupling]\nresponse = "plant.npz"\n{text}')
-    assert read_axes(str(tmp_path / "my.toml"), {}).units == (("m", "N"), ("rad", "N m"))
+    wanted = read_axes(str(tmp_path / "my.toml"), {})
+    assert wanted.units == (("m", "N"), ("rad", "N m")) and "largest actuator" in wanted.matrix.notes[-1]
+    # Where all actuators are in N, no computed combination of them is in N m; a given one may be.
+    with pytest.raises(
+        InputError, match=r"forces in N m, but those of the actuators are in N.*give actuation"
+    ):
+        read_axes(str(tmp_path / "my.toml"), {"force_unit": "N", "response_unit": "m/s^2"})
+    with (tmp_path / "my.toml").open("a") as file:
+        file.write("actuation = [[1.0, 2.0], [1.0, -2.0]]\n")
+    assert not read_axes(
+        str(tmp_path / "my.toml"), {"force_unit": "N", "response_unit": "m/s^2"}
+    ).matrix.notes
 
 
 def test_a_negative_magnitude_is_refused_unless_it_is_in_db(tmp_path):

@@ -22,7 +22,7 @@ from stillwork.control.uncertainty import (
     perturbed_loop,
 )
 from stillwork.identification.frequency_response import Identified
-from stillwork.identification.machine import build_machine
+from stillwork.identification.machine import build_machine, measured_band
 from stillwork.identification.machine_files import load_machine
 from stillwork.identification.modal_fit import identify_modes
 from stillwork.lti.modal import ModalModel
@@ -52,6 +52,20 @@ def write_response(file, machine, noise, seed=0):
     rows = np.column_stack([hertz, seen.real, seen.imag, np.full(len(hertz), 1 / (1 + noise**2))])
     names = "frequency (Hz),real ((rad/s^2)/(N m)),imaginary ((rad/s^2)/(N m)),coherence"
     np.savetxt(file, rows, delimiter=",", header=names, comments="")
+
+
+def test_a_measurement_is_the_plant_from_the_first_to_the_last_line_that_its_coherence_trusts():
+    """Noise of 3 % from 20 to 150 Hz, and of 50 % beside it and in a gap; of a band that is stated nothing is cut."""
+    hertz = np.arange(2.0, 190.0, 0.2)
+    noise = np.where((hertz < 20) | (hertz > 150) | (np.abs(hertz - 90) < 5), 0.5, 0.03)
+    errors = np.random.default_rng(3).standard_normal((2, len(hertz)))
+    seen = TABLE.response(hertz) * (1 + noise * (errors[0] + 1j * errors[1]) / np.sqrt(2))
+    file = load_machine((hertz, seen), "rad", "N m")
+    for coherence, ends in ((1 / (1 + noise**2), (20.0, 150.0)), (np.full(len(hertz), np.nan), (2.0, 189.8))):
+        known = replace(file, accelerance=file.accelerance._replace(coherence=coherence))
+        machine = build_machine(known, modes_hz=[], fit_hz=(0, 0), mirrored_sensor=False)
+        assert measured_band(machine) == pytest.approx(ends, abs=0.3)
+        assert measured_band(machine, (5.0, 170.0)) == (5.0, 170.0)
 
 
 @pytest.mark.slow

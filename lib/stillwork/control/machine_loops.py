@@ -35,7 +35,7 @@ from stillwork.control.uncertainty import (
 )
 from stillwork.estimation.observer import NoiseIntensities, kalman_observer
 from stillwork.identification.frequency_response import Identified
-from stillwork.identification.machine import Machine, whole_band
+from stillwork.identification.machine import Machine, measured_band
 from stillwork.lti.delays import delayed, split_delay
 from stillwork.lti.discretisation import prewarped
 from stillwork.lti.modal import ModalModel
@@ -399,7 +399,7 @@ class SearchSettings:
     noise : NoiseBound
         For a sampled loop: allowed sensor noise in the output, on the models.
     loop_hz : tuple of float
-        Band in which the measurement represents the plant; (0, 0) for that of the fit.
+        Band in which the measurement represents the plant; (0, 0): see `measured_band`.
     search_hz : tuple of float
         Range of the design parameter; (0, 0) for 1/40 of the first resonance to all of it, from twice a suspension
         and to a tenth of the rate.
@@ -498,7 +498,7 @@ class _Task(NamedTuple):
             responses,
             (modelled, *((loop,) for loop in elsewhere)),
             tuple(uncertainty_of(each, search.uncertainty) for each, _ in responses),
-            tuple(_measured_band(each, search.loop_hz) for each, _ in responses),
+            tuple(measured_band(each, search.loop_hz) for each, _ in responses),
             use.family(machine, search.sample_time),
             search.limits(use.application),
             search.noise,
@@ -605,14 +605,6 @@ def _exceeded(loops: Sequence[Loop], controller: Pid, limits: Sequence[PeakConst
     ]
     worst = np.argsort(sizes)[::-1][:MOST_ADDED]
     return [loops[k] for k in worst if sizes[k] > EXCESS]
-
-
-def _measured_band(machine: Machine, loop_hz: tuple[float, float]) -> tuple[float, float]:
-    """Where a measurement stands for the plant."""
-    if machine.measured is None or machine.fit is None:
-        return 0.0, 0.0
-    ends = machine.fit.omega[[0, -1]] / (2 * np.pi)
-    return whole_band(machine.measured, loop_hz if any(loop_hz) else (float(ends[0]), float(ends[1])))
 
 
 @checked

@@ -4,7 +4,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64
+from scipy.ndimage import median_filter
 
 from stillwork.base.checks import InputError, pluralise, require_kind
 from stillwork.base.validation import by_value, check_fields, checked
@@ -14,6 +15,7 @@ from stillwork.identification.modal_fit import SUSPENDED, ModalFit, identify_mod
 from stillwork.lti.modal import ModalModel, mirrored
 from stillwork.lti.reduction import truncate
 
+LEAST_LINES = 32  # of a band
 MAX_RELATIVE_ERROR = (
     0.5  # relative error below half the first resonance, or at the end of the band, that is reported
 )
@@ -22,6 +24,8 @@ LEAST_PHASE = 1.0  # degrees, that is reported
 BAND_END_SHARE = 0.01  # of the band's highest frequency
 AROUND = (0.4, 10.0)  # times the one resonance that stands out, where more is looked for
 TURNED = "counted against the force, turned"
+TRUSTED = 0.1  # noise over response by the coherence, up to which a line is trusted
+SMOOTH = 15  # lines of the running median of that
 MOST_MODES = 12  # of a matrix model: the others enter as compliance
 
 
@@ -73,17 +77,39 @@ def remove_delay(machine: Machine, delay: float) -> Machine:
 
 
 @checked
+def trusted(measured: Identified) -> Bool[np.ndarray, " lines"]:
+    """The lines that the coherence lets be trusted to `TRUSTED`; without a coherence all."""
+    if not np.isfinite(measured.coherence).any():
+        return np.ones(len(measured.omega), dtype=bool)
+    known = np.clip(np.nan_to_num(measured.coherence, nan=0.0), 1e-9, 1.0)
+    return median_filter(np.sqrt((1 - known) / known), SMOOTH, mode="nearest") <= TRUSTED
+
+
+@checked
 def whole_band(measured: Identified, band_hz: tuple[float, float]) -> tuple[float, float]:
     """The band, or the whole measured band for (0, 0); `InputError` if it holds too few lines."""
     hertz = measured.omega / (2 * np.pi)
     low, high = band_hz if any(band_hz) else (hertz[0], hertz[-1])
     inside = int(np.sum((hertz >= low) & (hertz <= high)))
-    if not low < high or inside < 32:
+    if not low < high or inside < LEAST_LINES:
         raise InputError(
             f"the band {low:g} to {high:g} Hz holds {pluralise(inside, 'line')} of the measurement, which runs from "
             f"{hertz[0]:.4g} to {hertz[-1]:.4g} Hz; give a band inside it, or (0, 0) for all of it"
         )
     return float(low), float(high)
+
+
+@checked(missing=True)
+def measured_band(machine: Machine, loop_hz: tuple[float, float] = (0.0, 0.0)) -> tuple[float, float]:
+    """Where the measurement stands for the plant, Hz: as given, else from the first to the last trusted line of the fit's band."""
+    if machine.measured is None or machine.fit is None:
+        return 0.0, 0.0
+    if not any(loop_hz):
+        hertz = machine.measured.omega / (2 * np.pi)
+        low, high = map(float, machine.fit.omega[[0, -1]] / (2 * np.pi))
+        held = hertz[trusted(machine.measured) & (hertz >= low) & (hertz <= high)]
+        loop_hz = (float(held[0]), float(held[-1])) if len(held) >= LEAST_LINES else (low, high)
+    return whole_band(machine.measured, loop_hz)
 
 
 @checked(missing=True)

@@ -98,6 +98,15 @@ def read_axes(file: str, load_options: Mapping) -> Wanted | None:
                 "give one of its own to each axis"
             )
     names, units = _labels(table, count, matrix.units)
+    if actuation is None and (drives := {u for _, u in units} - {matrix.units[1]}):
+        # Each axis of a computed T_u has the unit of its largest actuator.
+        if not matrix.notes:
+            raise InputError(
+                f"units has forces in {' and '.join(sorted(drives))}, but those of the actuators are in {matrix.units[1]}, and so are the "
+                f"axes' without actuation; give actuation, of the geometry, or units with {matrix.units[1]}"
+            )
+        held = "the axes' forces are in the unit of each one's largest actuator, taken to be as units states"
+        matrix = matrix._replace(notes=(*matrix.notes, held))
     return Wanted(matrix, path, sensing, actuation, names, units)
 
 

@@ -51,6 +51,7 @@ from stillwork.machine.promise import (
 from stillwork.machine.readings import build_explained
 
 MOST_LATE = 20  # samples either way, of a delay's uncertainty
+UNSTABLE = "unstable on the measurement"
 WITHOUT_BIQUADS = (
     "left out: written as biquads, the controller would exceed 6 dB or not stabilise the model on its own"
 )
@@ -77,7 +78,8 @@ class DesignRequest:
     fit_hz : tuple of float
         Frequency band of the fit, Hz; (0, 0): the whole measurement.
     loop_hz : tuple of float
-        Band in which the measurement is reliable and represents the plant, Hz; (0, 0): the band of the fit.
+        Band in which the measurement is reliable and represents the plant, Hz; (0, 0): that of the fit, without the
+        lines at its ends that the coherence does not let be trusted.
     uncertainty : str or mapping of str to float
         How far the machine may deviate from the model, e.g. ``frequency=0.05,gain=0.1``: relative, for the
         ``frequency``, ``residue`` and ``damping`` of each mode and for ``gain`` and ``mass``; ``delay`` in s, and
@@ -465,9 +467,14 @@ class NoSafeLoop(InputError):
     def __init__(self, name: str, rate: float, made: Designed):
         uses: dict[str, list[str]] = {}
         for use, each in made.found.items():
-            uses.setdefault(each.reason.partition(";")[0] or "unstable on the measurement", []).append(use)
+            uses.setdefault(each.reason.partition(";")[0] or UNSTABLE, []).append(use)
         rows = [f"  {', '.join(names)}: {reason}" for reason, names in uses.items()]
         advice = "sample faster, add damping, or state less --uncertainty"
+        if UNSTABLE in uses:
+            advice += (
+                "; the model is stable where the measurement is not: give --loop-hz, the band in which the response stands out of its "
+                "noise, or --fit-hz, one that holds all modes"
+            )
         lines = [f"{name}: no safe loop at {rate:g} Hz; {advice}", *rows]
         ValueError.__init__(self, "\n".join(map(one_line, lines)))
 

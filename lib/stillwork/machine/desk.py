@@ -11,7 +11,7 @@ import numpy as np
 from stillwork.base.checks import InputError, require_number
 from stillwork.control.uncertainty import NAMES, uncertainty_of
 from stillwork.identification.frequency_response import Identified
-from stillwork.identification.machine import Machine, build_machine, remove_delay, whole_band
+from stillwork.identification.machine import Machine, build_machine, measured_band, remove_delay, whole_band
 from stillwork.identification.machine_files import load_machine
 from stillwork.lti.modal import ModalModel
 from stillwork.machine.desk_page import offline_page
@@ -128,8 +128,7 @@ def entry(
         )
     if machine.measured is not None and fit is not None:
         measured = remove_delay(machine, fit.delay).measured
-        ends = fit.omega[[0, -1]] / (2 * np.pi)
-        band = whole_band(measured, loop_hz if any(loop_hz) else (float(ends[0]), float(ends[1])))
+        band = measured_band(machine, loop_hz)
         widths = model.damping * model.frequencies / (2 * np.pi)
         found["measured"] = _lines(measured, band, model.frequencies / (2 * np.pi), widths)
         found["band_hz"] = list(band)

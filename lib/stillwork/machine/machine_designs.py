@@ -1,6 +1,6 @@
 """One search for the controller of a machine: `design`, `report` and the notebook print what it finds."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
@@ -28,7 +28,7 @@ from stillwork.control.uncertainty import (
     require_shares,
     uncertainty_of,
 )
-from stillwork.identification.machine import Machine, remove_delay
+from stillwork.identification.machine import TRUSTED, Machine, measured_band, remove_delay
 from stillwork.lti.modal import ModalModel
 from stillwork.machine.machine_tuning import tuned, varied
 from stillwork.machine.waiting import bound_hz, waited
@@ -237,6 +237,7 @@ def search_designs(
         f"{' plus the intervals of the fit' * bool(shares_text and machine.fit)}",
         "S_I and S_O, which is also r to e since the controller runs on the error, at most 6 dB",
         *noise.words(machine.units),
+        *_cut(prompt[0], loop_hz),
     )
     made = Designed(
         prompt[0],
@@ -271,6 +272,18 @@ def search_designs(
                 made.settings[use], made.found[use] = made.settings[name], made.found[name]
                 made.same[use] = made.same.get(name, name)
     return made
+
+
+def _cut(machine: Machine, loop_hz: tuple[float, float]) -> Iterator[str]:
+    """That the measurement is the plant in a part of its band only, where that follows from the coherence."""
+    if machine.fit is None or any(loop_hz):
+        return
+    low, high = measured_band(machine)
+    if not np.allclose((low, high), machine.fit.omega[[0, -1]] / (2 * np.pi)):
+        yield (
+            f"the measurement is the plant from {low:.4g} to {high:.4g} Hz, the first and the last line that its coherence lets be "
+            f"trusted to {100 * TRUSTED:g} %; give loop_hz for another band"
+        )
 
 
 @checked

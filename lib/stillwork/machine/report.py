@@ -11,7 +11,7 @@ from scipy import integrate, ndimage
 
 from stillwork.base.checks import InputError, one_line, pluralise
 from stillwork.base.extras import require_package
-from stillwork.identification.machine import Machine, build_machine
+from stillwork.identification.machine import TRUSTED, Machine, build_machine, trusted
 from stillwork.identification.machine_files import (
     complex_responses,
     kind_of,
@@ -42,8 +42,6 @@ from stillwork.signals.units import UNITS_TEXT, unit_factor
 
 SEGMENTS = 16  # of a record, at least, in its spectra
 MOST_CHANNELS = 8  # of a record or of spectra on one page
-TRUSTED = 0.1  # noise over response by the coherence, up to which a line is trusted
-SMOOTH = 15  # lines of the running median of that
 LISTED = 4  # modes in the answer; the page has all
 NORMAL = 1.96  # standard deviations either side of a number, 95 %
 
@@ -187,9 +185,7 @@ def _trusted(machine: Machine) -> Iterator[str]:
     hertz, coherence = machine.measured.omega / (2 * np.pi), machine.measured.coherence
     ends = machine.fit.omega[[0, -1]] / (2 * np.pi)
     if np.isfinite(coherence).any() and np.nanmin(coherence) < 1:
-        known = np.clip(np.nan_to_num(coherence, nan=0.0), 1e-9, 1.0)
-        noise = ndimage.median_filter(np.sqrt((1 - known) / known), SMOOTH, mode="nearest")
-        places, count = ndimage.label(noise <= TRUSTED)
+        places, count = ndimage.label(trusted(machine.measured))
         stretches = [hertz[places == k][[0, -1]] for k in range(1, count + 1)]
         if not stretches:
             yield f"at no line does the coherence let the response be trusted to {100 * TRUSTED:g} %: average more, or excite more"

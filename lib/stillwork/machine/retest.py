@@ -18,7 +18,14 @@ from stillwork.control.machine_loops import HELD, SHOWN, encirclement_difference
 from stillwork.control.pid import Pid
 from stillwork.control.uncertainty import NORMAL
 from stillwork.identification.frequency_response import Identified
-from stillwork.identification.machine import TURNED, Machine, build_machine, remove_delay, whole_band
+from stillwork.identification.machine import (
+    TURNED,
+    Machine,
+    build_machine,
+    measured_band,
+    remove_delay,
+    whole_band,
+)
 from stillwork.identification.machine_files import MachineFile, load_machine, load_ratio
 from stillwork.identification.matrix_files import load_matrix
 from stillwork.lti.modal import ModalModel
@@ -261,9 +268,7 @@ def _measured_machine(designed: DesignedLoop, file: str, fit_hz, loop_hz, load_o
     loops, turns = {"model": modelled}, None
     if machine.measured is not None:
         machine = remove_delay(machine, machine.fit.delay)
-        ends = machine.fit.omega[[0, -1]] / (2 * np.pi)
-        band = whole_band(machine.measured, loop_hz if any(loop_hz) else tuple(map(float, ends)))
-        loops["measured"] = on_measurement(modelled, machine.measured, 1.0, band)
+        loops["measured"] = on_measurement(modelled, machine.measured, 1.0, measured_band(machine, loop_hz))
         turns = encirclement_difference(loops["measured"], designed.pid)
     changes = _changes(designed.loop.plant, machine, made, late)
     return _Found(loops, modelled.is_stable(designed.pid), turns, changes)
