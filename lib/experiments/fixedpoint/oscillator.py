@@ -5,9 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
-from stillwork.base.checks import InputError, nearest, require_number
+from stillwork.base.bounds import Positive
+from stillwork.base.checks import InputError, nearest
 from stillwork.base.kernels import kernel
 from stillwork.base.toml_files import read_toml
+from stillwork.base.validation import check_fields
 from stillwork.estimation.plant import Plant
 from workbook import paths
 
@@ -16,7 +18,7 @@ from workbook import paths
 class VanDerPol:
     """The oscillator of (11): m q'' + k q - b1 (a^2 - q^2) q' + b2 q' + d sign(q') q'^2 = u."""
 
-    mass: float  # m, kg
+    mass: Positive  # m, kg
     stiffness: float  # k, N/m
     separator: float  # a, m
     excitation: float  # b1, N s/m^3
@@ -24,9 +26,7 @@ class VanDerPol:
     drag: float  # d, N s^2/m^2
 
     def __post_init__(self):
-        require_number("mass", self.mass, above=0)
-        for field in fields(self)[1:]:
-            require_number(field.name, getattr(self, field.name))
+        check_fields(self)
 
     @property
     def plant(self) -> Plant:

@@ -7,7 +7,9 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 from scipy import signal
 
+from stillwork.base.bounds import Positive
 from stillwork.base.checks import InputError, require_array, require_count, require_number
+from stillwork.base.validation import check_fields
 
 SAMPLE_RATE = 5000.0  # Hz, section 2 of the FeRLS paper
 SENSORS = 3
@@ -22,11 +24,10 @@ class ShapedFloor:
     sections: Float64[np.ndarray, "channels sections 6"]
     # standard deviation of the white noise that enters, m/s^2 a sample
     scale: Float64[np.ndarray, " channels"]
-    sample_rate: float = SAMPLE_RATE  # Hz
+    sample_rate: Positive = SAMPLE_RATE  # Hz
 
     def __post_init__(self):
-        require_number("sample_rate", self.sample_rate, above=0.0)
-        require_array("scale", self.scale, ndim=1)
+        check_fields(self)
         for rows in require_array("sections", self.sections, shape=(len(self.scale), None, 6)):
             if any(np.any(np.abs(np.roots(row[3:])) >= 1) for row in rows):
                 raise InputError(

@@ -7,7 +7,9 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from experiments.isolation.floors import SENSORS
+from stillwork.base.bounds import Positive
 from stillwork.base.checks import require_array, require_number
+from stillwork.base.validation import check_fields
 from stillwork.signals.criteria import criterion_density
 from stillwork.signals.units import STANDARD_GRAVITY
 from workbook import paths
@@ -26,12 +28,11 @@ class RecordedFloor:
     """Accelerations of the floor sensors over time."""
 
     acceleration: Float64[np.ndarray, "channels samples"]  # m/s^2
-    sample_rate: float  # Hz
+    sample_rate: Positive  # Hz
     source: str  # where it comes from
 
     def __post_init__(self):
-        require_array("acceleration", self.acceleration, ndim=2)
-        require_number("sample_rate", self.sample_rate, above=0.0)
+        check_fields(self)
 
     @property
     def channels(self) -> int:

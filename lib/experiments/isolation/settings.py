@@ -5,7 +5,9 @@ from functools import cached_property
 
 import numpy as np
 
-from stillwork.base.checks import InputError, require_array, require_count, require_number
+from stillwork.base.bounds import Count, Natural, NonNegative, Positive
+from stillwork.base.checks import InputError, require_array, require_number
+from stillwork.base.validation import check_fields
 from stillwork.control import isolation_filters as shaping
 from stillwork.control.isolation_filters import NoiseShaping, SecondaryPath
 from stillwork.lti.discretisation import tustin_sections
@@ -18,27 +20,23 @@ class Instruments:
     Noise levels are one-sided amplitude densities in m/s^2/sqrt(Hz), mains amplitudes in m/s^2.
     """
 
-    sample_rate: float  # Hz
-    actuator_pole_hz: float
-    force_limit: float  # N: a larger command ends a simulation as unstable
-    parasitic_hz: float  # resonance beside the suspension
-    parasitic_damping: float  # relative
-    parasitic_gain: float  # 1/kg: its share of acceleration per force, 0 for none
-    conditioning_highpass_hz: float
-    conditioning_lowpass_hz: float
-    floor_noise: float  # n0, of each floor sensor
-    platform_noise: float  # n1, of each platform sensor: all of a1 that does not come from the floor
+    sample_rate: Positive  # Hz
+    actuator_pole_hz: Positive
+    force_limit: Positive  # N: a larger command ends a simulation as unstable
+    parasitic_hz: Positive  # resonance beside the suspension
+    parasitic_damping: Positive  # relative
+    parasitic_gain: NonNegative  # 1/kg: its share of acceleration per force, 0 for none
+    conditioning_highpass_hz: Positive
+    conditioning_lowpass_hz: Positive
+    floor_noise: NonNegative  # n0, of each floor sensor
+    platform_noise: NonNegative  # n1, of each platform sensor: all of a1 that does not come from the floor
     mains_hz: list[float] = field(default_factory=list)
     floor_mains: list[float] = field(default_factory=list)
     platform_mains: list[float] = field(default_factory=list)
 
     def __post_init__(self):
-        conditioning = ("conditioning_highpass_hz", "conditioning_lowpass_hz")
-        for name in ("sample_rate", "actuator_pole_hz", "force_limit", "parasitic_damping", *conditioning):
-            require_number(name, getattr(self, name), above=0.0)
-        require_number("parasitic_hz", self.parasitic_hz, above=0.0, below=self.sample_rate / 2)
-        for name in ("parasitic_gain", "floor_noise", "platform_noise"):
-            require_number(name, getattr(self, name), at_least=0.0)
+        check_fields(self)
+        require_number("parasitic_hz", self.parasitic_hz, below=self.sample_rate / 2)
         lines = len(require_array("mains_hz", self.mains_hz, ndim=1))
         for name in ("floor_mains", "platform_mains"):
             if len(require_array(name, getattr(self, name), ndim=1)) != lines:
@@ -74,29 +72,24 @@ class Instruments:
 class Skyhook:
     """Skyhook damping, eq. (1)."""
 
-    gain: float  # k_v, N s/m
-    cutoff: float  # w_i of the weak integrator, rad/s
-    notch_hz: float
+    gain: NonNegative  # k_v, N s/m
+    cutoff: Positive  # w_i of the weak integrator, rad/s
+    notch_hz: Positive
 
     def __post_init__(self):
-        require_number("gain", self.gain, at_least=0.0)
-        require_number("cutoff", self.cutoff, above=0.0)
-        require_number("notch_hz", self.notch_hz, above=0.0)
+        check_fields(self)
 
 
 @dataclass(frozen=True)
 class SelfTunedFeedforward:
     """Settings of the self-tuned feedforward, Sections 3 and 4."""
 
-    integrator_order: int  # n
-    integrator_cutoff_hz: float  # alpha
-    integrator_powers: int  # highest power of the weak integrator among the regressors
-    beta: float  # 1/s: the weak integrator's normalisation
+    integrator_order: Count  # n
+    integrator_cutoff_hz: Positive  # alpha
+    integrator_powers: Natural  # highest power of the weak integrator among the regressors
+    beta: Positive  # 1/s: the weak integrator's normalisation
     shaping: NoiseShaping
     path: SecondaryPath  # eq. (2)
 
     def __post_init__(self):
-        require_count("integrator_order", self.integrator_order)
-        require_count("integrator_powers", self.integrator_powers, at_least=0)
-        require_number("integrator_cutoff_hz", self.integrator_cutoff_hz, above=0.0)
-        require_number("beta", self.beta, above=0.0)
+        check_fields(self)
