@@ -10,6 +10,7 @@ import pytest
 from scipy import signal
 
 from motion.test_decoupled import HZ, accelerance, machine
+from motion.true_machines import error_law
 from shared.compiled import STRICT, call, pointer
 from stillwork.base.checks import InputError
 from stillwork.identification.machine_files import load_machine
@@ -42,9 +43,7 @@ def written(folder):
     about = json.loads((folder / "axes.json").read_text())
     laws = []
     for each in about["axes"]:
-        space = json.loads((folder / each["controller"]).read_text())["state_space"]
-        a, b, c, d = (np.array(space[name], dtype=float) for name in "abcd")
-        laws.append((a + b[:, 1:] @ c, b[:, :1] + b[:, 1:] @ d[:, :1], c, d[:, :1]))
+        laws.append(error_law(json.loads((folder / each["controller"]).read_text())["state_space"]))
     return np.array(about["sensing"]), np.array(about["actuation"]), laws, about
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
+from motion.true_machines import error_law
 from stillwork.__main__ import main
 from stillwork.base.checks import InputError
 from stillwork.control.digital import load_controller
@@ -70,9 +71,7 @@ def test_it_writes_all_of_it(written):
 def test_the_biquads_are_the_whole_controller(written):
     """By SciPy alone: as sections of r - y they respond as the matrices do."""
     held = json.loads((written[0] / "controller.json").read_text())
-    space, sections = held["state_space"], held["biquads"]
-    a, b, c, d = (np.array(space[name]) for name in "abcd")
-    a, b, d = a + b[:, 1:] @ c, b[:, :1] + b[:, 1:] @ d[:, :1], d[:, :1]  # it is told its own force
+    (a, b, c, d), sections = error_law(held["state_space"]), held["biquads"]
     z = np.exp(1j * np.geomspace(1e-3, 3.1, 200))
     k = np.array([(c @ np.linalg.solve(each * np.eye(len(a)) - a, b) + d)[0, 0] for each in z])
     feedback = signal.sosfreqz(sections["feedback"], np.angle(z))[1]

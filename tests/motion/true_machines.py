@@ -130,6 +130,12 @@ def machine_of_matrices(mass, loss, stiffness, into, out):
     )
 
 
+def error_law(space):
+    """A, B, C, D from error to force of the state space of a controller.json, which is given its own force, too."""
+    a, b, c, d = (np.array(space[name], dtype=float) for name in "abcd")
+    return a + b[:, 1:] @ c, b[:, :1] + b[:, 1:] @ d[:, :1], c, d[:, :1]
+
+
 class CompiledLoop:
     """The C of a controller in `folder`, closed around true machines; `into` and `out` are units of drive and sensor."""
 
