@@ -2,7 +2,6 @@
 
 import ast
 import json
-import re
 import string
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -46,9 +45,9 @@ def sentence(text: str, otherwise: str | None, holds: bool, values: Mapping[str,
         raise InputError(
             f"conclude: no sentence shows {unused[0]}; write {{{unused[0]}:.3g}} in one, or leave it out"
         )
-    found = forms[0 if holds or otherwise is None else 1].format(**values)
-    found = re.sub(r"(?<=\d)%", " %", found)  # as the unit that it is
-    return found if holds or otherwise is not None else f"Not found in this run: {found}"
+    if holds or otherwise is not None:
+        return forms[0 if holds else 1].format(**values)
+    return f"Not found in this run: {text.format(**values)}"
 
 
 def sense(

@@ -3,6 +3,7 @@
 import numpy as np
 
 from experiments.fixedpoint.published import EXTENDED, KALMAN, LITERAL, LOW_PASS, POLYNOMIAL, WINDOW
+from stillwork.base.checks import InputError
 from workbook import figures
 from workbook.studies import mean_interval
 
@@ -66,6 +67,10 @@ def fill_range(axes, time: np.ndarray, error: np.ndarray, length: int, **style):
 
 def points_with_intervals(axes, runs: list[np.ndarray], places, name: str):
     """Means of the runs as points, their 95 % intervals as bars."""
+    if not all(np.isfinite(values).all() for values in runs):
+        raise InputError(
+            f"{name}: a loop diverged, so its error has no mean; take less noise or another motion"
+        )
     intervals = [mean_interval(values) for values in runs]
     axes.plot([values.mean() for values in runs], places, "o", ms=4, color=COLOURS[name], label=name)
     label = f"{name}, 95 % interval"
