@@ -12,6 +12,7 @@ from stillwork.base.validation import checked
 from stillwork.identification.frequency_response import Identified
 from stillwork.identification.modal_fit import identify_modes
 from stillwork.lti.modal import ModalModel
+from stillwork.machine.decoupled import real_terms
 
 SAME = 0.01  # of a frequency, within which modes of several axes are one
 SUMS = 4  # of all entries, with random weights
@@ -78,13 +79,8 @@ def fit_matrix(
     modes = modes[[not len(springs) or np.abs(np.log(springs[:, 0] / f)).min() > SAME for f, _ in modes]]
     s, every = 1j * omega, np.vstack([modes, springs])
     columns = np.column_stack([s**0, (s / omega[-1]) ** 2, (s / omega[-1]) ** 4, _own(s, *every.T)])
-    size = np.linalg.norm(scaled, axis=(1, 2))
-    columns = columns * (np.exp(-s * delay) / size)[:, None]
-    target = (scaled / size[:, None, None]).reshape(len(omega), -1)
-    whole, wanted = (np.vstack([each.real, each.imag]) for each in (columns, target))
-    parts = np.linalg.lstsq(whole, wanted, rcond=None)[0]
-    misfit = float(np.sqrt(np.mean(np.sum(np.abs(columns @ parts - target) ** 2, axis=1))))
-    residues = parts[3 : 3 + len(modes)].reshape(-1, *inner.shape[1:]) * (sizes[:, None] * sizes)
+    parts, misfit = real_terms(columns * np.exp(-s * delay)[:, None], scaled)
+    residues = parts[3 : 3 + len(modes)] * (sizes[:, None] * sizes)
     return MatrixModes(modes[:, 0], modes[:, 1], residues, delay, misfit)
 
 

@@ -66,6 +66,22 @@ def scaled_alike(sizes: Float64[np.ndarray, "n n"]) -> tuple[np.ndarray, np.ndar
 
 
 @checked
+def real_terms(
+    columns: Complex128[np.ndarray, "lines terms"], response: Complex128[np.ndarray, "lines n n"]
+) -> tuple[Float64[np.ndarray, "terms n n"], float]:
+    """Real matrices whose sum, each times its column, is the response by least squares, relative to its size at each line.
+
+    With them the root mean square over the lines of what is left.
+    """
+    size = np.linalg.norm(response, axis=(1, 2))
+    powers, target = columns / size[:, None], (response / size[:, None, None]).reshape(len(response), -1)
+    whole, wanted = (np.vstack([each.real, each.imag]) for each in (powers, target))
+    terms = np.linalg.lstsq(whole, wanted, rcond=None)[0]
+    misfit = float(np.sqrt(np.mean(np.sum(np.abs(powers @ terms - target) ** 2, axis=1))))
+    return terms.reshape(-1, *response.shape[1:]), misfit
+
+
+@checked
 def low_end(hertz: Float64[np.ndarray, " lines"], accelerance: Complex128[np.ndarray, "lines n n"]) -> LowEnd:
     """Fit the low end of a response whose rows and columns are alike, as far up as it goes on like that."""
     tried: dict[bool, list[tuple[float, float, np.ndarray]]] = {True: [], False: []}
@@ -74,13 +90,8 @@ def low_end(hertz: Float64[np.ndarray, " lines"], accelerance: Complex128[np.nda
         seen = accelerance if free else -accelerance / (2 * np.pi * hertz[:, None, None]) ** 2
         for end in ends:
             s = 1j * hertz[:end] / hertz[end - 1]
-            size = np.linalg.norm(seen[:end], axis=(1, 2))
-            powers = np.stack([np.ones(end), s, s * s], axis=1) / size[:, None]
-            target = (seen[:end] / size[:, None, None]).reshape(end, -1)
-            whole, wanted = (np.vstack([each.real, each.imag]) for each in (powers, target))
-            terms = np.linalg.lstsq(whole, wanted, rcond=None)[0]
-            misfit = float(np.sqrt(np.mean(np.sum(np.abs(powers @ terms - target) ** 2, axis=1))))
-            tried[free].append((misfit, float(hertz[end - 1]), terms.reshape(3, *seen.shape[1:])))
+            terms, misfit = real_terms(np.stack([np.ones(end), s, s * s], axis=1), seen[:end])
+            tried[free].append((misfit, float(hertz[end - 1]), terms))
     first = np.linalg.norm(accelerance[:LEAST], axis=(1, 2)).mean()
     free = bool(np.linalg.norm(tried[True][0][2][0]) > FREE * first)
     least = min(each[0] for each in tried[free])
@@ -106,17 +117,15 @@ def _through_springs(hertz: np.ndarray, seen: np.ndarray) -> Iterator[LowEnd]:
     if np.linalg.cond(seen).max() > WORST_CONDITION**2:
         return
     dynamic = np.linalg.inv(seen)
-    size, one = np.linalg.norm(dynamic, axis=(1, 2)), len(seen[0])
     tried = []
     for end in np.unique(np.geomspace(2 * LEAST, len(hertz), ENDS).astype(int)):
         s = 1j * hertz[:end] / hertz[end - 1]
-        powers = np.stack([s**0, 1 / s, 1 / s**2, s**2], axis=1) / size[:end, None]
-        target = (dynamic[:end] / size[:end, None, None]).reshape(end, -1)
-        whole, wanted = (np.vstack([each.real, each.imag]) for each in (powers, target))
-        terms = np.linalg.lstsq(whole, wanted, rcond=None)[0]
-        misfit = float(np.sqrt(np.mean(np.sum(np.abs(powers @ terms - target) ** 2, axis=1))))
-        mass, _, stiffness, _ = terms.reshape(4, one, one)
-        if np.linalg.norm(mass) > FREE * size[end - 1] and np.linalg.cond(mass) < WORST_CONDITION:
+        terms, misfit = real_terms(np.stack([s**0, 1 / s, 1 / s**2, s**2], axis=1), dynamic[:end])
+        mass, _, stiffness, _ = terms
+        if (
+            np.linalg.norm(mass) > FREE * np.linalg.norm(dynamic[end - 1])
+            and np.linalg.cond(mass) < WORST_CONDITION
+        ):
             free = np.linalg.inv(mass)
             condition = float(np.linalg.cond(mass))
             tried.append(
