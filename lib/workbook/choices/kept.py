@@ -5,7 +5,7 @@ import io
 import json
 from collections import defaultdict
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field, fields, replace
 from pathlib import Path
 
 from workbook import paths
@@ -123,31 +123,16 @@ class Joint:
         return "no setting explains all" if shown else "none found among what was computed explains all"
 
 
+KINDS = {kind.__name__: kind for kind in (Joint, Setting, Window)}
+
+
 def settings_text(joint: Joint) -> str:
-    """Text of ``settings.csv``: a row begins with what it is."""
+    """Text of ``settings.csv``: a row begins with what it is, and has its fields in order: words as they are, the rest as JSON."""
     text = io.StringIO()
     write = csv.writer(text, lineterminator="\n").writerow
-    counts = (
-        joint.agree,
-        joint.numbers,
-        joint.tried,
-        joint.whole,
-        joint.bound,
-        joint.computed,
-        joint.possible,
-    )
-    write(["joint", *counts])
-    for each in joint.settings:
-        lists = [" ".join(each.supports), " ".join(each.contradicts)]
-        write(["setting", each.axis, each.option, int(each.best), each.agree, *lists, each.indifferent])
-    for says, agree in joint.equal.items():
-        write(["equal", says, json.dumps(agree, ensure_ascii=False)])
-    for kind, names in {"lost": joint.lost, "never": joint.never}.items():
-        for name in names:
-            write([kind, name])
-    for each in joint.windows:
-        others = json.dumps(dict(each.others), ensure_ascii=False)
-        write(["window", each.axis, each.number, each.step, others, json.dumps(each.pieces)])
+    for each in replace(joint, settings=(), windows=()), *joint.settings, *joint.windows:
+        cells = (x if isinstance(x, str) else json.dumps(x, ensure_ascii=False) for x in astuple(each))
+        write([type(each).__name__, *cells])
     return text.getvalue()
 
 
@@ -160,20 +145,18 @@ def read_settings(topic: str) -> Joint | None:
 def read_joint(file: Path) -> Joint:
     """What was kept in a ``settings.csv``."""
     rows = defaultdict(list)
-    for kind, *row in csv.reader(io.StringIO(file.read_text(encoding="utf-8"))):
-        rows[kind].append(row)
-    settings = [
-        Setting(axis, option, best == "1", int(agree), tuple(yes.split()), tuple(no.split()), int(rest))
-        for axis, option, best, agree, yes, no, rest in rows["setting"]
-    ]
-    windows = [
-        Window(*names, tuple(json.loads(others).items()), tuple(map(tuple, json.loads(pieces))))
-        for *names, others, pieces in rows["window"]
-    ]
-    lost, never = (tuple(name for (name,) in rows[kind]) for kind in ("lost", "never"))
-    agree, numbers, *tries = map(int, rows["joint"][0])
-    equal = {says: json.loads(by_option) for says, by_option in rows["equal"]}
-    return Joint(agree, numbers, tuple(settings), lost, never, *tries, tuple(windows), equal)
+    for kind, *cells in csv.reader(io.StringIO(file.read_text(encoding="utf-8"))):
+        rows[kind].append(_made(KINDS[kind], cells))
+    return replace(rows["Joint"][0], settings=tuple(rows["Setting"]), windows=tuple(rows["Window"]))
+
+
+def _made(kind, cells: list[str]):
+    pairs = zip(fields(kind), cells, strict=True)
+    return kind(*(text if each.type is str else _frozen(json.loads(text)) for each, text in pairs))
+
+
+def _frozen(value):
+    return tuple(map(_frozen, value)) if isinstance(value, list) else value
 
 
 def wanted(file: Path, axes: Iterable[str], never: Iterable[str] = ()) -> list[str]:

@@ -15,7 +15,7 @@ import numpy as np
 from workbook.choices.axes import POINTS, Axis, Multiverse
 from workbook.choices.kept import Pieces, Window
 from workbook.choices.notebook_study import study_digest
-from workbook.choices.running import Journal, calls_at, compute, design
+from workbook.choices.running import Journal, calls_at, compute
 from workbook.claims import Entry
 from workbook.progress import Progress
 
@@ -119,16 +119,10 @@ def searches(multiverses: list[Multiverse], entries: dict[str, Entry]) -> dict[s
 
 
 def _points(multiverse: Multiverse, name: str, touched: Sequence[str]) -> list[tuple[int, ...]]:
-    """Settings of the other axes that touch these entries, the rest at the default; many of them as the study samples them."""
+    """Settings of the other axes that touch these entries, the rest at the default; of many that of the default alone."""
     touching = {axis for entry in touched for axis in multiverse.touched[entry]} - {name}
     places = [range(len(a.texts)) if a.name in touching else (a.default_index,) for a in multiverse.axes]
-    if math.prod(map(len, places)) <= POINTS:
-        return list(product(*places))
-    sampled = (
-        tuple(k if k in mine else mine[0] for k, mine in zip(point, places, strict=True))
-        for point in design(multiverse)
-    )
-    return list(dict.fromkeys(sampled))
+    return list(product(*places)) if math.prod(map(len, places)) <= POINTS else [multiverse.default_point]
 
 
 def search_window(multiverse: Multiverse, axis: Axis, point: tuple[int, ...], entries: list[Entry]) -> dict:
