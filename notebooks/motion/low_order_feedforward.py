@@ -154,14 +154,12 @@ def original_gains(sample_time: float, position: int, redesign: str) -> Feedforw
     return fit_feedforward(error_loop(closed_loop(plant, None, controller)), published_setpoint(sample_time))
 
 
+DEFAULTS = (1e-4, 5, "own limit", 8, 1)  # of the notebook, which `compare` takes behind the name
+
+
 @cache
 def compare(
-    name: str,
-    sample_time: float = 1e-4,
-    position: int = 5,
-    redesign: str = "own limit",
-    largest_order: int = 8,
-    seed: int = 1,
+    name: str, sample_time: float, position: int, redesign: str, largest_order: int, seed: int, /
 ) -> Compared:
     """The design `name` of Table 3.7, measured at a mass; the noise is that of section 3.1."""
     setpoint, window = published_setpoint(sample_time), published_setpoint(sample_time).scanning
@@ -277,7 +275,7 @@ def over_moves(
 
 def paint_low_order(design: str, states: int, gain: float):
     """Explorer: error over the move for a feedforward of so many states, its filters' gains scaled by `gain` %."""
-    compared, setpoint = compare(design), published_setpoint(1e-4)
+    compared, setpoint = compare(design, *DEFAULTS), published_setpoint(DEFAULTS[0])
     chosen = [each for each in compared.found if each.order <= states][-1]
     chosen = replace(chosen, weights=tuple(gain / 100 * w for w in chosen.weights))
     error = chosen.error(compared.direct, setpoint)

@@ -311,8 +311,13 @@ def paint_responses(
     return figure
 
 
+PUBLISHED = (5, 0.17, 83.0, 0.01)  # measured mass, size of the reference (m), f_bw (Hz), regularisation
+
+
 def published_problem(
-    measured_mass: int = 5, reference_size: float = 0.17, bandwidth_hz: float = 83.0
+    measured_mass: int = PUBLISHED[0],
+    reference_size: float = PUBLISHED[1],
+    bandwidth_hz: float = PUBLISHED[2],
 ) -> ObserverProblem:
     """Section 5.1.2 for one measured mass; the disturbances are relative to a reference of this size (m)."""
     plant = truncate(stage().at([0], [measured_mass - 1]), 4, 0)
@@ -333,31 +338,27 @@ class Solved(NamedTuple):
     kalman: StateModel
     weight: StateModel  # of the sensitivity, that the Kalman loop just keeps
     cost: tuple[np.ndarray, np.ndarray]  # see `regularisation`
+    optimal: H2Synthesis  # without the weight
     points: list[FrontPoint]
 
 
 @cache
-def solve(
-    measured_mass: int = 5,
-    reference_size: float = 0.17,
-    bandwidth_hz: float = 83.0,
-    regularised_by: float = 0.01,
-) -> Solved:
-    """The problem of section 5.1.2, its Kalman observer, and the front of its optima."""
+def solve(measured_mass: int, reference_size: float, bandwidth_hz: float, regularised_by: float, /) -> Solved:
+    """The problem of section 5.1.2 at settings as in `PUBLISHED`, its Kalman observer, and the front of its optima."""
     problem = published_problem(measured_mass, reference_size, bandwidth_hz)
     generalised, kalman = problem.generalised(), kalman_block(problem)
     weight = sensitivity_weight(tipping_corner(generalised.close(kalman)))
     cost = regularisation(problem, regularised_by)
-    points = front(generalised, weight, np.array(EMPHASES), *cost)
-    return Solved(problem, generalised, kalman, weight, cost, points)
+    optimal, points = h2_riccati(generalised, *cost), front(generalised, weight, np.array(EMPHASES), *cost)
+    return Solved(problem, generalised, kalman, weight, cost, optimal, points)
 
 
 def paint_emphasis(emphasis: float):
     """Explorer: the loop on the front at one emphasis, beside the Kalman loop."""
-    problem, generalised, kalman, weight, cost, _ = solve()
-    found = h2_riccati(emphasised(generalised, weight, emphasis), *cost)
-    observers = {"Kalman": kalman, f"emphasis {emphasis:.2g}": found.controller}
-    return paint_responses(problem, observers, weight, points=600)
+    solved = solve(*PUBLISHED)
+    found = h2_riccati(emphasised(solved.generalised, solved.weight, emphasis), *solved.cost)
+    observers = {"Kalman": solved.kalman, f"emphasis {emphasis:.2g}": found.controller}
+    return paint_responses(solved.problem, observers, solved.weight, points=600)
 
 
 # === Control bandwidth ============================================================================================
@@ -460,12 +461,12 @@ def optimum_values(
 
     `norms` are `bandwidth_norms`; `left` is `left_at_five_hz` of the Kalman observer, then of the optima.
     """
-    points, plain = solved.points, h2_riccati(solved.generalised, *solved.cost)
+    points = solved.points
     peaks, twos = np.array([p.weighted_peak for p in points]), np.array([p.h2 for p in points])
     tracking_hz = front_bandwidths(solved, solved.problem.plant, "r to e_true")[1]
     rising = (np.diff(twos) >= 0) & (np.diff(tracking_hz) >= 0) & (np.diff(peaks) <= 0)
     return {
-        "motion.table-5-1.optimal": plain.norm,
+        "motion.table-5-1.optimal": solved.optimal.norm,
         "motion.fig-5-5.rises": float(np.mean(np.diff([with_kalman for _, with_kalman in norms]) > 0)),
         "motion.conclusion-5-1.optimum-does-not-track": float(
             np.mean(np.array(left[1:]) > max(np.sqrt(0.5), left[0]))
@@ -522,7 +523,7 @@ def observers_of(solved: Solved, optima: Mapping[float, H2Synthesis]) -> list[St
 
 def optimum(*, reference_size: float, measured_mass: int, regularisation_size: float, seed: int) -> Values:
     """The same for another mass, scale or regularisation; it has no fast variant."""
-    solved = solve(measured_mass, reference_size, regularised_by=regularisation_size)
+    solved = solve(measured_mass, reference_size, PUBLISHED[2], regularisation_size)
     optima, eight = regularised_optima(solved), stage().at([0], [measured_mass - 1])
     shown = (solved.kalman, *(found.controller for found in optima.values()))
     left = [left_at_five_hz(solved.problem, observer) for observer in shown]
@@ -532,7 +533,7 @@ def optimum(*, reference_size: float, measured_mass: int, regularisation_size: f
 
 def front_study(*, bandwidth_measure: str, bandwidth_plant: str, seed: int) -> Values:
     """Conclusion 5.3 by one measure of bandwidth on one plant; it has no fast variant."""
-    solved = solve()
+    solved = solve(*PUBLISHED)
     plant = solved.problem.plant if bandwidth_plant == "observer's model" else stage().at([0], [4])
     return front_values(*front_bandwidths(solved, plant, bandwidth_measure))
 
@@ -613,14 +614,13 @@ The plant is the observer's model and the input is known, so the reference cause
         when=abs(slow - 54.43) > 0.005,
         norm=slow,
     )
-    riccati = h2_riccati(generalised, *solved.cost)
-    _of_two_methods(page, generalised, optima, riccati, solved.cost)
+    _of_two_methods(page, solved, optima)
     page.text(r"""## Responses
 
 Figs 5.3 and 5.4: the optimum's sensitivity is near one at low frequencies; below 5 Hz its equivalent controller is flat where that
 of the Kalman loop rises. Then Figs 5.6, 5.8 and 5.9: the front where the weighted peak is at most 1.""")
     best = next(p for p in points if p.weighted_peak <= 1.0)
-    shown = {"no observer": problem.idle(), "Kalman": kalman, "optimal": riccati.controller}
+    shown = {"no observer": problem.idle(), "Kalman": kalman, "optimal": solved.optimal.controller}
     page.save("fig-5-3", paint_responses(problem, shown))
     shown = {"Kalman": kalman, f"front, weighted peak {best.weighted_peak:.2f}": best.synthesis.controller}
     page.save("fig-5-8", paint_responses(problem, shown, solved.weight))
@@ -634,13 +634,7 @@ of the Kalman loop rises. Then Figs 5.6, 5.8 and 5.9: the front where the weight
         page.check(claim, ours)
 
 
-def _of_two_methods(
-    page,
-    generalised: GeneralisedPlant,
-    optima: Mapping[float, H2Synthesis],
-    riccati: H2Synthesis,
-    cost: tuple[np.ndarray, np.ndarray],
-) -> None:
+def _of_two_methods(page, solved: Solved, optima: Mapping[float, H2Synthesis]) -> None:
     page.text("""## The optimum, twice
 
 By two scaled Riccati equations at each regularisation, and by the matrix inequalities (5.7) at ours. Norms are those of the
@@ -656,7 +650,7 @@ original problem; the optimum falls slowly as the regularisation vanishes.""")
         for size, found in optima.items()
     ]
     page.show(pd.DataFrame(rows), index=False)
-    lmi = h2_by_inequalities(generalised, *cost)
+    lmi, riccati = h2_by_inequalities(solved.generalised, *solved.cost), solved.optimal
     for name, norm in {"its claim": lmi.claimed, "Riccati's loop": riccati.regular_norm}.items():
         # as near as the solver ends, by the tolerance asked of the loop
         page.show(f"inequalities: loop over {name}, minus 1: {below(lmi.regular_norm / norm - 1, 1e-3)}")

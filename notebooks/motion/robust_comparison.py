@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 from scipy.optimize import minimize_scalar
 
-from experiments.motion.designs import DESIGNS, design_controller, stage_bandwidth, stage_compensator
+from experiments.motion.designs import DESIGNS, design_controller, stage_compensator
 from experiments.motion.intervals import Values, central, key
 from experiments.motion.machines import published_deviations, published_setpoint, stage
 from experiments.motion.perturbed_tracking import APPLICATIONS, CASES, MEASURED
@@ -47,6 +47,7 @@ from stillwork.lti.simulation import simulate
 from stillwork.lti.state_space import StateModel
 from stillwork.lti.structured import prove_gain
 from workbook import figures, paths
+from workbook.claims import load_entries
 from workbook.studies import Study, fraction, run_study
 
 Blocks = Mapping[str, tuple[StateModel | None, StateModel]]  # compensator and controller of each case
@@ -61,12 +62,13 @@ def _nominal() -> ModalModel:
     return stage().at([0], [MEASURED - 1])
 
 
-@cache
-def published_blocks() -> Blocks:
-    """The designs of Table 3.5: the largest bandwidth that each application allows on the nominal stage."""
-    controllers = {name: stage_bandwidth(name).controller.state_space() for name in ("PID", *APPLICATIONS)}
+@lru_cache(maxsize=64)  # the answers of an exact plant are kept by these
+def published_blocks(redesign: str = "own limit", noise_model: float = 1e3) -> Blocks:
+    """The designs of Table 3.5, with controllers of `design_controller`; Q_nu of MC with AD is `noise_model` (N^2/s)."""
+    controllers = {name: design_controller(name, redesign).state_space() for name in ("PID", *APPLICATIONS)}
+    designs = DESIGNS | {"MC and AD": replace(DESIGNS["MC and AD"], noise_model=noise_model)}
     return {
-        case: (stage_compensator(MEASURED, DESIGNS[observer]), controllers[controller])
+        case: (stage_compensator(MEASURED, designs[observer]), controllers[controller])
         for case, (observer, controller) in CASES.items()
     }
 
@@ -761,18 +763,23 @@ def order_values(study) -> Values:
     }
 
 
-def perturbed_ratios(plants: int, seed: int, **settings) -> dict[str, Float64[np.ndarray, " plants"]]:
+def perturbed_ratios(
+    plants: int, seed: int, redesign: str = "own limit", noise_model: float = 1e3, **settings
+) -> dict[str, Float64[np.ndarray, " plants"]]:
     """Table 5.2 on perturbed plants: errors in per cent of the case without observer, a value a plant."""
-    study = run_study(
-        tracking_trial, plants, seed, blocks=published_blocks(), progress=False, **({"size": 0.05} | settings)
-    )
+    settings = {"size": 0.05, "blocks": published_blocks(redesign, noise_model)} | settings
+    study = run_study(tracking_trial, plants, seed, progress=False, **settings)
     return {case: 100 * study[case] / study["none"] for case in CASES if case != "none"}
+
+
+def _table_id(case: str) -> str:
+    return key(case).replace("and-", "")
 
 
 def table_values(percent: Mapping[str, np.ndarray], nominal: Mapping[str, np.ndarray]) -> Values:
     """Table 5.2 on perturbed plants and on the exact one, and what is said of it, as the ledger has it."""
     found: Values = {
-        f"motion.table-5-2.{which}.{key(case).replace('and-', '')}": central(each)
+        f"motion.table-5-2.{which}.{_table_id(case)}": central(each)
         for which, ratios in (("perturbed", percent), ("nominal", nominal))
         for case, each in ratios.items()
     }
@@ -794,11 +801,18 @@ def perturbed_scans(
     rigid_body_errs: bool,
     perturbed_feedforward: str,
     perturbed_sample_time: float,
+    redesign: str,
+    both_noise_model: float,
     seed: int,
     lean: bool,
 ) -> Values:
     """Table 5.2 and the statements on it; the fast variant draws 100 plants instead of 300."""
-    settings = {"retune": perturbed_feedforward == "refitted", "sample_time": perturbed_sample_time}
+    settings = {
+        "redesign": redesign,
+        "noise_model": both_noise_model,
+        "retune": perturbed_feedforward == "refitted",
+        "sample_time": perturbed_sample_time,
+    }
     perturbed = perturbed_ratios(
         LEAN_PLANTS if lean else TABLE_PLANTS, seed, law=error_law, rigid=rigid_body_errs, **settings
     )
@@ -811,6 +825,7 @@ def nominal_ratios(seed: int, **settings) -> dict[str, Float64[np.ndarray, " dra
 
 
 BOTH_OVER_AD = {"original": ("MC and AD", "AD"), "redesigned": ("MC and AD, redesigned", "AD, redesigned")}
+RATIO_PLACES = ("table-3-7", "brackets", "table-5-2")
 RATIO_PLANTS = 40  # perturbed ones
 
 
@@ -822,27 +837,12 @@ def both_over_ad(
     A plant and a draw of the noise are one for both errors; `redesign` is that of `design_controller`, at the printed
     Q_nu; `settings` go to `tracking_trial`.
     """
-    blocks = _ratio_blocks(noise_model, redesign)
+    whole = published_blocks(redesign, noise_model)
+    blocks = {
+        case: whole[case] for case in ("none", *(case for pair in BOTH_OVER_AD.values() for case in pair))
+    }
     study = run_study(tracking_trial, plants, seed, blocks=blocks, progress=False, **settings)
     return {column: study[both] / study[alone] for column, (both, alone) in BOTH_OVER_AD.items()}
-
-
-@lru_cache(maxsize=64)  # the answers of an exact plant are kept by these
-def _ratio_blocks(noise_model: float, redesign: str) -> Blocks:
-    cases = ("none", *(case for pair in BOTH_OVER_AD.values() for case in pair))
-    used = {name: replace(design, noise_model=noise_model) for name, design in DESIGNS.items()}
-    controllers = {
-        name: design_controller(name, redesign).state_space()
-        for name in dict(CASES[k] for k in cases).values()
-    }
-    return {
-        case: (
-            stage_compensator(MEASURED, (used if observer == "MC and AD" else DESIGNS)[observer]),
-            controllers[controlled],
-        )
-        for case in cases
-        for observer, controlled in [CASES[case]]
-    }
 
 
 def _ratio_values(place: str, ratios: Mapping[str, np.ndarray]) -> Values:
@@ -882,13 +882,14 @@ def perturbed_ratio_values(
     return _ratio_values("table-5-2", found)
 
 
-PRINTED = dict(  # Table 5.2, per cent of the error without observer, plant perturbed by 5 %
-    zip(
-        (case for case in CASES if case != "none"),
-        (109.2563, 43.6057, 44.3531, 93.595, 27.3155, 25.693),
-        strict=True,
-    )
-)
+def _printed(ratios: str, ids: Mapping[str, str]) -> dict[str, float]:
+    """What the thesis prints, by the keys of `ids`, which end the ids of the ledger that begin with `ratios`."""
+    entries = load_entries("motion")
+    return {name: entries[f"motion.{ratios}.{each}"].published for name, each in ids.items()}
+
+
+# Table 5.2, per cent of the error without observer, plant perturbed by 5 %
+PRINTED = _printed("table-5-2.perturbed", {case: _table_id(case) for case in CASES if case != "none"})
 
 
 def largest_deviation(percent: Mapping[str, np.ndarray]) -> float:
@@ -1092,7 +1093,8 @@ def _of_the_table(page, tables: Mapping, drawn: Mapping, nominal: Mapping) -> No
 
 Medians with the 95 % intervals of the median, per cent of the error without observer; then the share of plants on which each
 statement holds:""")
-    page.check("motion.table-5-2.bracket-consistency", 100 * 11.647 / 9.1782)
+    scan = _printed("table-3-7", {"none": "original", "MC": "mc"})
+    page.check("motion.table-5-2.bracket-consistency", 100 * scan["MC"] / scan["none"])
     rows: dict[str, dict[str, str]] = {"published": {case: f"{value:.1f}" for case, value in PRINTED.items()}}
     said = {}
     for law, (medians, off) in drawn.items():
@@ -1128,15 +1130,21 @@ def _of_the_first_column(
     page, draws: tuple[int, int, float, str], rigid_errors: bool, sample_time: float
 ) -> None:
     plants, seed, error_size, error_law = draws
-    page.text(r"""## Which $Q_\nu$ have Tables 3.7 and 5.2?
+    printed = {
+        place: _printed(f"both-over-ad.{place}", {c: c for c in BOTH_OVER_AD}) for place in RATIO_PLACES
+    }
+    page.text(
+        r"""## Which $Q_\nu$ have Tables 3.7 and 5.2?
 
 Neither table names it. MC and AD over AD by $Q_\nu$, with the original and the redesigned feedback (medians; share above 1). Printed:
-0.976 and 0.933 in Table 3.7, 1.011 and 0.922 in the brackets of Table 5.2, 1.017 and 0.941 on its perturbed plants.""")
-    columns, medians = {}, {}
+{} in Table 3.7, {} in the brackets of Table 5.2, {} on its perturbed plants.""".format(
+            *("{original:.3f} and {redesigned:.3f}".format(**each) for each in printed.values())
+        )
+    )
+    columns, medians, exact = {}, {}, {}
     for noise_model in (0.03, 1.0, 1e3):
-        ratios = {
-            "exact plant": both_over_ad(noise_model, NOMINAL_DRAWS, seed, size=0.0, sample_time=sample_time)
-        }
+        exact[noise_model] = both_over_ad(noise_model, NOMINAL_DRAWS, seed, size=0.0, sample_time=sample_time)
+        ratios = {"exact plant": exact[noise_model]}
         for law in list(LAWS)[:2]:
             ratios[law] = both_over_ad(noise_model, plants, seed, size=error_size, law=law, rigid=True)
         columns[f"{noise_model:g}"] = {
@@ -1147,27 +1155,30 @@ Neither table names it. MC and AD over AD by $Q_\nu$, with the original and the 
         medians[noise_model] = {name: float(np.median(each["original"])) for name, each in ratios.items()}
         medians[noise_model]["redesigned"] = float(np.median(ratios["exact plant"]["redesigned"]))
     page.show(pd.DataFrame(columns))
-    exact = both_over_ad(1e3, NOMINAL_DRAWS, seed, size=0.0, sample_time=sample_time)
     off = both_over_ad(1e3, RATIO_PLANTS, seed, size=error_size, law=error_law, rigid=rigid_errors)
-    for place, ratios in {"table-3-7": exact, "brackets": exact, "table-5-2": off}.items():
+    for place, ratios in zip(RATIO_PLACES, (exact[1e3], exact[1e3], off), strict=True):
         for claim, value in _ratio_values(place, ratios).items():
             page.check(claim, *value)
     small, large = medians[0.03], medians[1e3]
     page.conclude(
         r"Table 5.2's first column has a small $Q_\nu$: at 0.03 N²/s MC with AD errs {exact:.4f} times as much as AD on the exact "
-        "plant and {off:.4f} times with uniform errors (printed 1.0108 and 1.0171); at 1000, which Table 3.7 fits, {large:.3f} "
+        "plant and {off:.4f} times with uniform errors (printed {brackets:.4f} and {perturbed:.4f}); at 1000, which Table 3.7 fits, {large:.3f} "
         "times. So the two tables differ in it.",
         when=small["exact plant"] > 1 > large["exact plant"],
         exact=small["exact plant"],
         off=small["uniform"],
         large=large["exact plant"],
+        brackets=printed["brackets"]["original"],
+        perturbed=printed["table-5-2"]["original"],
     )
     page.conclude(
         "Its redesigned column has a large one, as that of Table 3.7 has: on the exact plant {large:.3f} at 1000 and {small:.3f} at "
-        "0.03 (printed 0.922 and 0.933). The page of settings has the windows of both.",
+        "0.03 (printed {brackets:.3f} and {scan:.3f}). The page of settings has the windows of both.",
         when=large["redesigned"] < 1 < small["redesigned"],
         large=large["redesigned"],
         small=small["redesigned"],
+        brackets=printed["brackets"]["redesigned"],
+        scan=printed["table-3-7"]["redesigned"],
     )
 
 

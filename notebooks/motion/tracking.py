@@ -1,6 +1,7 @@
 """Tracking a scan: what this notebook alone needs."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -120,16 +121,18 @@ def tracking(
     scan_sample_time: float,
     redesign: str,
     stage_damping: float,
+    both_noise_model: float,
     seed: int,
     lean: bool,
 ) -> Values:
     """Table 3.7 (nm); its fast variant takes 20 realisations of the noise instead of 100.
 
     `feedforward_fit` is ``once``, in the original loop, or ``each loop``; `scan_noise` ``section 3.1`` or ``none``;
-    `redesign` takes the ``own limit`` of each design, or the ``printed`` bandwidth as its parameter f_bw.
+    `redesign` takes the ``own limit`` of each design, or the ``printed`` bandwidth as its parameter f_bw, both at the
+    printed Q_nu; that of the observer for MC with AD is `both_noise_model` (N^2/s).
     """
     setpoint = published_setpoint(scan_sample_time)
-    loops = {case: tracking_loop(case, redesign, stage_damping) for case in CASES}
+    loops = {case: tracking_loop(case, redesign, stage_damping, both_noise_model) for case in CASES}
     fitted = {
         case: fit_feedforward(error_loop(loops["none" if feedforward_fit == "once" else case]), setpoint)
         for case in CASES
@@ -165,10 +168,11 @@ def ranked(errors: dict[str, float]) -> bool:
 
 
 @lru_cache(maxsize=64)  # combinations that differ in the scan share them
-def tracking_loop(case: str, redesign: str, stage_damping: float):
+def tracking_loop(case: str, redesign: str, stage_damping: float, both_noise_model: float):
     observer, controlled = CASES[case]
     plant = stage(stage_damping)
-    design = as_read(DESIGNS[observer], "noise model", stage_damping)
+    used = DESIGNS | {"MC and AD": replace(DESIGNS["MC and AD"], noise_model=both_noise_model)}
+    design = as_read(used[observer], "noise model", stage_damping)
     block = stage_compensator(MEASURED, design, plant=plant)
     if redesign == "printed":
         controller = design_controller(controlled, redesign)
