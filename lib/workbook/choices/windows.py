@@ -307,7 +307,8 @@ def _without_idle(windows: list[Window]) -> list[Window]:
     for mine in groups.values():
         for name in [name for name, _ in mine[0].others]:
             less = [replace(each, others=tuple(o for o in each.others if o[0] != name)) for each in mine]
-            if len({each.others for each in less}) == len(set(less)):
+            settled = len({each.others for each in less}) == len(set(less))
+            if settled and len({dict(each.others)[name] for each in mine}) > 1:  # else it was held
                 mine = list(dict.fromkeys(less))
         kept += mine
     return kept
