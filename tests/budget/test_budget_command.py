@@ -485,7 +485,7 @@ def test_two_machines_in_one_file_are_refused(tmp_path):
                 read(str(tmp_path / "m.toml"))
 
 
-def test_the_shipped_machine_is_read_by_the_commands_and_is_that_of_the_notebooks(tmp_path):
+def test_the_shipped_machine_is_read_by_the_commands_and_is_that_of_the_notebooks():
     file = str(paths.data("budget", "machine.toml"))
     taken, isolator = open_machine(file).machine, read_isolator(file, 5e3)[0]
     assert np.ravel([isolator.mass, isolator.stiffness, isolator.damping]) == pytest.approx(

@@ -53,7 +53,7 @@ def test_a_cluster_gives_the_same(workbook, tmp_path):
     assert results_text(there) == results_text(run(multiverses, tmp_path / "here"))
 
 
-def test_what_the_journal_holds_is_not_computed_again(workbook, tmp_path, monkeypatch):
+def test_what_the_journal_holds_is_not_computed_again(workbook, tmp_path):
     _, multiverses = workbook(NOISY)
     before = run(multiverses, tmp_path)
     lines = (tmp_path / "journal.jsonl").read_text()

@@ -88,22 +88,21 @@ def test_a_disk_that_is_full_for_the_results(built):
 
 
 def test_an_interrupt_of_a_parallel_build(built):
-    toy, number = built, signal.SIGINT
-    good = toy.results()
+    good = built.results()
     for name in ("01-first", "02-second", "03-third"):
-        toy.add(
+        built.add(
             f"isolation/{name}",
             "import subprocess\nchild = subprocess.Popen(['sleep', '1000'])",
             WAIT.format(name),
         )
-    process = toy.start("figures", "--jobs", "2")
-    toy.wait_for("01-first", "02-second")
-    printed = toy.interrupt(process, number)
-    assert process.returncode == 128 + number
+    process = built.start("figures", "--jobs", "2")
+    built.wait_for("01-first", "02-second")
+    printed = built.interrupt(process, signal.SIGINT)
+    assert process.returncode == 128 + signal.SIGINT
     assert "0 built, 3 failed" in printed
     assert [line.split()[-1] for line in printed.splitlines()[-4:-1]] == ["interrupted"] * 3
-    assert toy.results() == good
-    assert toy.leftovers() == []
+    assert built.results() == good
+    assert built.leftovers() == []
 
 
 @pytest.mark.parametrize("kernels", [1, 3])

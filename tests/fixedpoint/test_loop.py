@@ -133,7 +133,7 @@ def plain(position, velocity, force, parameters):
     return force
 
 
-def test_an_infinite_force_is_reported(exact, approximate, short):
+def test_an_infinite_force_is_reported(exact, short):
     model = Plant(plain, infinite_force, np.zeros(0))
     controller = Controller(LowPass(), RobustTransformation(), KinematicDesign(16.0), model)
     run = simulate(exact, controller, short)

@@ -276,7 +276,7 @@ def test_what_stands_for_a_lost_sample_is_what_the_filter_gets(number, lost, exa
         )
 
 
-def test_a_limited_force_does_not_wind_up(exact, approximate, short):
+def test_a_limited_force_does_not_wind_up(exact, approximate):
     """Off the trajectory at the start: the force stays at its limit, and the loop comes back without a swing."""
     controller = Controller(
         LowPass(from_zero=True), RobustTransformation(), KinematicDesign(16.0), approximate

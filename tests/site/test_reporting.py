@@ -34,10 +34,6 @@ def record(n=600, **columns):
     return {"time": t, "a (m/s^2)": np.sin(t**2), **columns}
 
 
-def densities(unit="(m/s^2)^2/Hz", sign=1.0):
-    return {"frequency": HERTZ, f"floor ({unit})": sign / HERTZ}
-
-
 def response(hertz=HERTZ, unit="m/s^2/N"):
     return {"frequency": hertz, f"real ({unit})": RESPONSE.real, f"imag ({unit})": RESPONSE.imag}
 
