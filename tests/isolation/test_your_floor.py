@@ -6,6 +6,7 @@ import pytest
 from experiments.isolation.twin import load_twin
 from notebooks.isolation.your_floor import (
     crossing,
+    decision,
     described,
     feedforward,
     isolate,
@@ -131,3 +132,15 @@ def test_the_feedforward_pays_where_it_takes_a_tenth_off_the_loop_alone():
     pays, where = feedforward(gains, {"feedback": flat, "FeRLS": 0.5 * flat})
     assert "feedforward pays" in pays and "0.50 of" in pays and "on any floor" in where
     assert "no floor up to 1e+02 times" in feedforward(gains, {"feedback": flat, "FeRLS": 0.95 * flat})[1]
+
+
+def test_what_to_do_is_what_leaves_least():
+    gains, flat = np.geomspace(0.1, 100, 7), np.ones(7)
+    told = {
+        "Build both loops": {"feedback": 0.5 * flat, "FeRLS": 0.3 * flat},
+        "the skyhook loop alone": {"feedback": 0.5 * flat, "FeRLS": 0.48 * flat},
+        "passive on this floor, or take sensors 2 times": {"feedback": 1.5 * flat, "FeRLS": 2 / gains},
+        "passive on this floor.": {"feedback": 1.5 * flat, "FeRLS": 2 * flat},
+    }
+    for words, left in told.items():
+        assert words in decision(gains, {"passive": flat, **left})
