@@ -227,7 +227,9 @@ def minimal(
     a, b, c = a * scale / scale[:, None], b / scale[:, None], c * scale
     for share in (1.0, 1e-3, 1e-6):
         found = _reduced(a, b, c, share * tolerance)
-        if len(found[0]) == len(a) or _unchanged((a, b, c), found[:3]):
+        if len(found[0]) == len(a):  # turned states would lose digits where poles lie decades apart
+            return a, b, c, found[3]
+        if _unchanged((a, b, c), found[:3]):
             return found
     return a, b, c, np.zeros(0)
 
