@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -195,12 +196,19 @@ def test_a_design_takes_the_place_of_stage_and_controller(files, tmp_path):
     (tmp_path / "made" / "c.json").write_text(
         json.dumps(DigitalController(law, ("e (m)",), ("f (N)",), about=about).as_dict())
     )
+    # The same law from counts to amperes, of a sensor of 2e8 counts a metre and a motor of 1.5 N/A.
+    drive = replace(law, b=law.b / 2e8, c=law.c / 1.5, d=law.d / 3e8)
+    about["provenance"] |= {"encoder_counts": 2e8, "motor_constant": 1.5}
+    (tmp_path / "drive.json").write_text(
+        json.dumps(DigitalController(drive, ("e (count)",), ("f (A)",), about=about).as_dict())
+    )
     sources = sources_of(entries, "", tmp_path, 1e4)
     totals = [
         error_budget(machine_of(entries, where).network(), sources, (0.5, 2000.0)).rms[0]
-        for where in ("", str(tmp_path / "made"), str(tmp_path / "made" / "c.json"))
+        for where in ("", *(str(tmp_path / name) for name in ("made", "made/c.json", "drive.json")))
     ]
     np.testing.assert_allclose(totals[1:], totals[0], rtol=1e-6)
+    (tmp_path / "drive.json").unlink()
     with pytest.raises(InputError, match="holds 0 controllers"):
         machine_of(entries, str(tmp_path))
 

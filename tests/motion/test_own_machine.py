@@ -9,6 +9,7 @@ import pytest
 
 from motion.true_machines import CompiledLoop, TrueMachine, machine_of_matrices
 from stillwork.__main__ import main
+from stillwork.base.checks import InputError
 from stillwork.control.applications import Application
 from stillwork.control.bandwidth import PeakConstraint, make_loop
 from stillwork.control.digital import error_driven, runnable
@@ -105,6 +106,17 @@ def test_a_turntable_keeps_its_promise_in_c(tmp_path, capsys, untuned):
         said = retest_file(str(folder / "controller.json"), str(again), str(page))
         assert ("viscous friction" in "".join(said)) == (words == "outside the box")
         assert re.search(rf"viscous friction over mass.*?{words}", page.read_text(), re.DOTALL)
+    # A sensor that counts the other way: the loop runs away.
+    hertz, real, imaginary, coherence = np.loadtxt(again, delimiter=",", skiprows=1).T
+    np.savetxt(
+        again,
+        np.column_stack([hertz, -real, -imaginary, coherence]),
+        delimiter=",",
+        header=again.read_text().partition("\n")[0],
+        comments="",
+    )
+    with pytest.raises(InputError, match="moves opposite to the machine of the design"):
+        retest_file(str(folder / "controller.json"), str(again), str(tmp_path / "turned.html"))
 
 
 def test_the_worst_friction_is_the_worst_of_a_scan():

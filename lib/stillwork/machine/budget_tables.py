@@ -26,7 +26,7 @@ from stillwork.control.pid import PidFamily
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel
 from stillwork.machine.budget_isolator import WrittenIsolator, read_isolator_design
-from stillwork.machine.designed_loop import model_of
+from stillwork.machine.designed_loop import in_the_units_of_the_file, model_of
 from stillwork.machine.machine_toml import KNOWN, open_machine_toml, own_table
 from stillwork.signals.datafiles import read_columns
 from stillwork.signals.densities import agreed_density, density_unit, frequency_axis, hertz_in, read_densities
@@ -183,8 +183,12 @@ def _designed(design: str) -> tuple[ModalModel, StateModel, float, float]:
             f"{design} holds {len(files)} controllers; give one of the JSON files that stillwork design wrote"
         )
     written = load_controller(files[0])
-    about, controller = Table(dict(written.about), files[0].name), of_reference(written).model
-    delay = float(about.table("provenance")["delay_samples_of_the_loop"])
+    about, controller = Table(dict(written.about), files[0].name), of_reference(written)
+    made = about.table("provenance")
+    controller, delay = (
+        in_the_units_of_the_file(controller, made).model,
+        float(made["delay_samples_of_the_loop"]),
+    )
     return model_of(about.table("model")), force_law(controller), controller.sample_time, delay
 
 

@@ -51,6 +51,10 @@ from stillwork.machine.promise import (
 from stillwork.machine.readings import build_explained
 
 MOST_LATE = 20  # samples either way, of a delay's uncertainty
+AGAINST = (
+    "sign: the motion was counted against the force; the C is for a motion counted along it, so turn the sensor's sign "
+    "before it, or the loop runs away"
+)
 UNSTABLE = "unstable on the measurement"
 WITHOUT_BIQUADS = (
     "left out: written as biquads, the controller would exceed 6 dB or not stabilise the model on its own"
@@ -238,6 +242,7 @@ def design_file(
     answer = [
         *_answer(made, held, peaks, without),
         f"C and reasons: {folder}: {', '.join(sorted([*code, 'report.html']))}",
+        *([AGAINST] if TURNED in made.machine.notes else []),
     ]
     about = [*_facts(given, made), *facts]
     text = report(made, answer[:2], controllers, peaks, computed, helps, held, about, without)

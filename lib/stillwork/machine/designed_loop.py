@@ -42,10 +42,10 @@ def load_design(file: str) -> DesignedLoop:
     )
     gains = about["gains"]
     pid = Pid(**gains | {"notches": tuple(Notch(**gain) for gain in gains["notches"])})
-    return DesignedLoop(_in_the_units_of_the_file(of_reference(written), made), made, loop, pid)
+    return DesignedLoop(in_the_units_of_the_file(of_reference(written), made), made, loop, pid)
 
 
-def _in_the_units_of_the_file(controller: DigitalController, made: Table) -> DigitalController:
+def in_the_units_of_the_file(controller: DigitalController, made: Table) -> DigitalController:
     """The controller in the units in which the machine was measured, not those of its drive."""
     counts, constant = made.get("encoder_counts"), made.get("motor_constant")
     return in_units(controller, 1 / (counts or 1.0), constant or 1.0, ("position", "force"))

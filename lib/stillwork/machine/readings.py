@@ -12,7 +12,7 @@ from scipy.ndimage import uniform_filter1d
 from stillwork.base.checks import InputError
 from stillwork.base.validation import checked
 from stillwork.identification.frequency_response import Identified
-from stillwork.identification.machine import MISFIT, Machine, build_machine, thinned, whole_band
+from stillwork.identification.machine import MISFIT, TURNED, Machine, build_machine, thinned, whole_band
 from stillwork.identification.machine_files import PADDING, MachineFile, load_machine
 from stillwork.identification.modal_fit import SMOOTH, ModalFit, identify_modes
 from stillwork.signals.datafiles import read_arrays
@@ -47,7 +47,8 @@ def believed(file: MachineFile, machine: Machine) -> str:
     told = [f"{' and '.join(dict.fromkeys(names))} {unit}" for unit, names in parts.items()]
     units = ", ".join(told) or f"matrices in {machine.units[0]} and {machine.units[1]}"
     found = f"mode{'s' if len(hertz) > 1 else ''} at {modes} Hz" if len(hertz) else rigid
-    return f"{machine.mass:.4g} {machine.mass_unit}, {found}; {units}"
+    against = f"; {TURNED}" if TURNED in machine.notes else ""
+    return f"{machine.mass:.4g} {machine.mass_unit}, {found}; {units}{against}"
 
 
 @checked(missing=True)

@@ -258,6 +258,11 @@ def _measured_machine(designed: DesignedLoop, file: str, fit_hz, loop_hz, load_o
             f"{Path(file).name} is of another machine or in another unit: it moves as {machine.mass:.4g} {machine.mass_unit}, that of "
             f"the design as {made['mass']:.4g} (read were {believed(taken, machine).partition('; ')[2]}); give response_unit and force_unit"
         )
+    if (TURNED in machine.notes) != (TURNED in made.get("notes", [])):
+        raise InputError(
+            f"{Path(file).name} moves opposite to the machine of the design under the same force, and the written loop would run "
+            "away; correct the sign of the file, or design again from it"
+        )
     late = max(machine.fit.delay, 0.0) if machine.fit else 0.0
     modelled = make_loop(
         machine.sensors[0],
