@@ -383,23 +383,23 @@ def _changes(designed: ModalModel, machine: Machine, made: Table, late: float) -
             found.append(_Change("resonance", f"{hertz:.5g} Hz", "none", "", False))
             continue
         j = 1 + int(np.abs(np.log(now.frequencies[1:] / then)).argmin())
-        pair = [f"{each / (2 * np.pi):.5g} Hz" for each in (then, now.frequencies[j])]
-        found.append(_relative("resonance", *pair, now.frequencies[j] / then - 1, frequency[k]))
-        pair = [f"{part[n] * mass:.3g}" for part, n, mass in zip(parts, (k, j), masses, strict=True)]
+        before, after = [f"{each / (2 * np.pi):.5g} Hz" for each in (then, now.frequencies[j])]
+        found.append(_relative("resonance", before, after, now.frequencies[j] / then - 1, frequency[k]))
+        before, after = [f"{part[n] * mass:.3g}" for part, n, mass in zip(parts, (k, j), masses, strict=True)]
         share = residue[k] + box["gain"] + spread[j - 1] + 1e-6
         change = parts[1][j] / parts[0][k] - 1
-        found.append(_relative(f"part of the mode at {hertz:.4g} Hz", *pair, change, share))
-    pair = [f"{each:.4g} {machine.mass_unit}" for each in masses]
-    found.append(_relative("mass", *pair, masses[1] / masses[0] - 1, box["mass"] + box["gain"]))
+        found.append(_relative(f"part of the mode at {hertz:.4g} Hz", before, after, change, share))
+    before, after = [f"{each:.4g} {machine.mass_unit}" for each in masses]
+    found.append(_relative("mass", before, after, masses[1] / masses[0] - 1, box["mass"] + box["gain"]))
     if designed.drag or now.drag:
-        pair = [f"{each:.3g} 1/s" for each in (designed.drag, now.drag)]
+        before, after = [f"{each:.3g} 1/s" for each in (designed.drag, now.drag)]
         change = now.drag - designed.drag
         held = abs(change) <= box.get("friction", 0.0) + 1e-9
-        found.append(_Change("viscous friction over mass", *pair, f"{change:+.2g} 1/s", held))
+        found.append(_Change("viscous friction over mass", before, after, f"{change:+.2g} 1/s", held))
     then = (made["delay_samples_of_the_loop"] - made["delay_samples_asked"]) / made["rate_hz"]
-    pair = [f"{1e6 * each:.3g} us" for each in (then, late)]
+    before, after = [f"{1e6 * each:.3g} us" for each in (then, late)]
     held = abs(late - then) <= box["delay"] + 1e-9
-    found.append(_Change("delay of the response", *pair, f"{1e6 * (late - then):+.2g} us", held))
+    found.append(_Change("delay of the response", before, after, f"{1e6 * (late - then):+.2g} us", held))
     return found
 
 
