@@ -25,6 +25,14 @@ class Sentence:
         return self.text
 
 
+class _Words(string.Formatter):
+    """`str.format`, with a space before the sign of per cent, as in the text around it."""
+
+    def format_field(self, value, spec):
+        text = super().format_field(value, spec)
+        return f"{text[:-1]} %" if spec.endswith("%") else text
+
+
 def sentence(text: str, otherwise: str | None, holds: bool, values: Mapping[str, object]) -> str:
     """`text` where it holds, else `otherwise`, with the values in their places.
 
@@ -46,8 +54,8 @@ def sentence(text: str, otherwise: str | None, holds: bool, values: Mapping[str,
             f"conclude: no sentence shows {unused[0]}; write {{{unused[0]}:.3g}} in one, or leave it out"
         )
     if holds or otherwise is not None:
-        return forms[0 if holds else 1].format(**values)
-    return f"Not found in this run: {text.format(**values)}"
+        return _Words().format(forms[0 if holds else 1], **values)
+    return f"Not found in this run: {_Words().format(text, **values)}"
 
 
 def sense(

@@ -209,7 +209,7 @@ def paint_box(size: float):
         axes.vlines(at, low, high, color=colour, linewidth=3, alpha=0.5)
         axes.plot(at, whole[k, 0], mark, color=colour, markersize=4.5, linestyle="none", label=design)
     axes.axhspan(
-        1.0, 1 + LEVEL, color=figures.GREY, alpha=0.25, linewidth=0, label=f"level, within {LEVEL:.0%}"
+        1.0, 1 + LEVEL, color=figures.GREY, alpha=0.25, linewidth=0, label=f"level, within {100 * LEVEL:g} %"
     )
     axes.set_xticks(places, [name.split()[0] for name in FLOORS])
     axes.set_yscale("log")
@@ -217,7 +217,7 @@ def paint_box(size: float):
     axes.minorticks_off()
     axes.set(
         ylabel="error over the least\nat the same place",
-        xlabel=f"floor (mark: nominal stage; bar: stable places of the box of {size:.0%})",
+        xlabel=f"floor (mark: nominal stage; bar: stable places of the box of {100 * size:g} %)",
         xlim=(-0.6, len(FLOORS) - 0.4),
     )
     axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0))

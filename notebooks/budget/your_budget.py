@@ -29,7 +29,7 @@ def sources_table(budget: ErrorBudget):
     from pandas import DataFrame
 
     rows = {
-        name: (nanometres(rms), f"{share:.1%}")
+        name: (nanometres(rms), f"{100 * share:.1f} %")
         for name, rms, share in zip(
             budget.names, budget.rms_by_source[:, 0], budget.shares[:, 0], strict=True
         )

@@ -836,4 +836,4 @@ eight runs that go on, and times in which $w_4$ to $w_9$ settle, from multiples 
     page.check("isolation.equal-variance.hundred-times", goes_on[1])
     page.check("isolation.equal-variance.turns-by-three-hundred", float(not settled[2] < settled[1]))
     for multiple, share, time_s in zip(FAR, goes_on, settled, strict=True):
-        page.show(f"{multiple:g} times: {share:.0%} go on, settled in {time_s:.2f} s")
+        page.show(f"{multiple:g} times: {100 * share:.0f} % go on, settled in {time_s:.2f} s")

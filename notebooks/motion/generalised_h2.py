@@ -187,7 +187,7 @@ def other_filters(
     A row a filter: its norm over the Kalman filter's, and whether its Gramian exceeds that filter's at every sample.
     """
     tried = [
-        (f"gains off by {part:.0%}", gains * (1 + part * rng.standard_normal(gains.shape)))
+        (f"gains off by {100 * part:.0f} %", gains * (1 + part * rng.standard_normal(gains.shape)))
         for part in (0.01, 0.1, 0.3)
         for _ in range(trials // 3)
     ]

@@ -549,13 +549,13 @@ def searched_designs() -> Iterator[tuple[str, Stored]]:
             -min(loop.crossing_hz(each.design.controller) for loop in loops(each.design, stage()))
         )
     )
-    yield "largest bandwidth, for 0%", _stored(fast, 0.0)
+    yield "largest bandwidth, for 0 %", _stored(fast, 0.0)
     published, ended, joint = JointDesign(), [], {}
     pools = {size: nominal + sample_plants(size, POOL if size else 0, POOL_SEED) for size in SIZES}
     for size, pool in pools.items():
         observer = search_pool(_with(begin[0], published, OBSERVER), "observer", pool).design
         second = [search_pool(_with(each, observer, OBSERVER), "controller", pool) for each in begin[:2]]
-        yield f"two steps, for {size:.0%}", _stored(sorted(second, key=lambda each: each.cost), size)
+        yield f"two steps, for {100 * size:.0f} %", _stored(sorted(second, key=lambda each: each.cost), size)
         joint[size] = [
             search_pool(each, "joint", pool) for each in (begin if not size else begin[:1]) + ended
         ]
@@ -563,9 +563,9 @@ def searched_designs() -> Iterator[tuple[str, Stored]]:
     joint[0.0] += [search_pool(each, "joint", nominal) for each in ended[1:]]
     for size, pool in pools.items():
         found = sorted(joint[size], key=lambda each: each.cost)
-        yield f"joint, for {size:.0%}", _stored(found, size)
+        yield f"joint, for {100 * size:.0f} %", _stored(found, size)
         calm = search_pool(replace(found[0].design, integrator=1.0), "joint", pool, LEFT_LIMIT)
-        yield f"joint, for {size:.0%}, {1e9 * LEFT_LIMIT:g} nm/N", _stored([calm], size, LEFT_LIMIT)
+        yield f"joint, for {100 * size:.0f} %, {1e9 * LEFT_LIMIT:g} nm/N", _stored([calm], size, LEFT_LIMIT)
 
 
 def _with(design: JointDesign, other: JointDesign, names: tuple[str, ...]) -> JointDesign:
@@ -675,7 +675,7 @@ The searches for 2 and 5 % include the nominal stage and those of a pool of pert
 the fresh stages, with the gains refitted there and with those of the nominal stage:""")
     robust = {}
     for (size, plants), claim in zip(judges.items(), ("two-percent", "five-percent"), strict=True):
-        name, second = f"joint, for {size:.0%}", stored[f"two steps, for {size:.0%}"].design
+        name, second = f"joint, for {100 * size:.0f} %", stored[f"two steps, for {100 * size:.0f} %"].design
         found, gains = fresh[size][name], 1e9 * errors_of_nominal_gains(stored[name].design, plants)
         low, middle, high = np.quantile(gains, [0.25, 0.5, 0.75])
         error, kept = 1e9 * found.error, int(found.feasible.sum())
@@ -695,7 +695,7 @@ the fresh stages, with the gains refitted there and with those of the nominal st
     page.show(table, float_format="{:.2f}".format)
     page.check("motion.section-7-3.joint-below-two-steps-fresh", table["below two steps"].min())
     floors = np.array([noise_floor(plant) for plant in judges[0.05]])
-    page.check("motion.section-7-3.above-floor", np.mean(fresh[0.05]["joint, for 5%"].error > floors))
+    page.check("motion.section-7-3.above-floor", np.mean(fresh[0.05]["joint, for 5 %"].error > floors))
     page.conclude(
         "The one for 5 % keeps 6 dB on {kept:.0%} and errs by {error:.2f} nm if the feedforward gains are refitted: with the "
         "nominal ones by {gains:.0f} nm.",

@@ -1112,7 +1112,7 @@ statement holds:""")
             name.rpartition(".")[2]: ours for name, (ours, _) in values.items() if name.count(".") == 2
         }
     page.show(pd.DataFrame(rows))
-    page.show(pd.DataFrame(said), float_format="{:.0%}".format)
+    page.show(100 * pd.DataFrame(said), float_format="{:.0f} %".format)
     deviations = {law: off for law, (_, off) in drawn.items()}
     first = [np.mean(off > deviations["uniform"]) for law, off in deviations.items() if law != "uniform"]
     page.check("motion.table-5-2.uniform-nearest", min(first))
@@ -1148,7 +1148,7 @@ Neither table names it. MC and AD over AD by $Q_\nu$, with the original and the 
         for law in list(LAWS)[:2]:
             ratios[law] = both_over_ad(noise_model, plants, seed, size=error_size, law=law, rigid=True)
         columns[f"{noise_model:g}"] = {
-            f"{name}, {column}": f"{np.median(r):.4f} ({np.mean(r > 1):.0%})"
+            f"{name}, {column}": f"{np.median(r):.4f} ({100 * np.mean(r > 1):.0f} %)"
             for name, both in ratios.items()
             for column, r in both.items()
         }
@@ -1209,7 +1209,7 @@ def _of_all_frequencies(page, error_size: float, seed: int) -> None:
     page.text(f"""## All frequency errors at once
 
 Does a redesigned loop keep 6 dB on every plant? An upper bound of the structured singular value covers every frequency within
-±{error_size:.0%}, with exact shapes. The largest $S_I$ at mass 5, sampled at the ends and proven:""")
+±{100 * error_size:g} %, with exact shapes. The largest $S_I$ at mass 5, sampled at the ends and proven:""")
     peaks = {
         case: proven_peak(case, error_size, seed) for case in ("AD, redesigned", "MC and AD, redesigned")
     }

@@ -518,7 +518,7 @@ until the error stays within 20 nm, from the end of the acceleration (ms):""")
     for claim, ours in energy_values(quiet, study).items():
         page.check(claim, ours)
     part = {name: np.mean(quiet.rms(name) ** 2) / np.mean(study.rms(name) ** 2) for name in CASES}
-    page.show(pd.Series(part), float_format="{:.0%}".format)
+    page.show(100 * pd.Series(part), float_format="{:.0f} %".format)
     damped = [share for name, share in part.items() if "AD" in name]
     others = [share for name, share in part.items() if "AD" not in name]
     page.check("motion.conclusion-5-7.statements", float(min(others) > 0.9 and max(damped) < 0.25))

@@ -20,6 +20,7 @@ def test_a_sentence_has_the_numbers_and_the_sense_of_the_run():
     said = "The gain is {gain:.1f}.", "The gain is not 2 but {gain:.1f}."
     assert sentence(*said, True, {"gain": 2.04}) == "The gain is 2.0."
     assert sentence(*said, False, {"gain": 3}) == "The gain is not 2 but 3.0."
+    assert sentence("{a:.1%} to {a:+.0%}", None, True, {"a": 0.1234}) == "12.3 % to +12 %"
     assert sentence(said[0], None, False, {"gain": 3}) == "Not found in this run: The gain is 3.0."
 
 

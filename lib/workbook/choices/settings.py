@@ -87,9 +87,10 @@ def joint_settings(topic: str, windows: Sequence[Window]) -> Joint:
     axes, multiverses = load_axes(topic)
     options = {axis.name: list(axis.texts) for axis in axes.values() if axis.kind != "seed"}
     defaults = {axis: axes[axis].default_index for axis in options}
-    for axis, text in [*(pair for each in windows for pair in each.others), *_between(windows)]:
-        options[axis] += [text] * (text not in options[axis])
     untried = _said(topic, "untried", options)
+    named = [where.split(" = ") for where in untried if " = " in where]
+    for axis, text in [*(pair for each in windows for pair in each.others), *_between(windows), *named]:
+        options[axis] += [text] * (text not in options[axis])
     known = (_with_windows(number, windows, options) for number in _numbers(topic))
     numbers = [_untried(number, untried, options, defaults) for number in known]
     joint = best_joint(numbers, options, defaults)
