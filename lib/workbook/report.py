@@ -1,5 +1,7 @@
 """The ledger as text: for a terminal, one entry whole, and as the summary that stands in the README."""
 
+import difflib
+import re
 import shutil
 import sys
 import textwrap
@@ -7,7 +9,7 @@ from collections import Counter
 from collections.abc import Iterable
 
 from workbook import paths
-from workbook.checks import InputError, nearest
+from workbook.checks import InputError
 from workbook.claims import DISAGREEMENT, NOT_REPLICATED, VERDICT_WORDS, Claim
 
 FITTED = "fitted or calibrated"
@@ -134,12 +136,28 @@ def find(claims: list[Claim], name: str) -> Claim:
     Raises
     ------
     InputError
-        When the ledger has no such entry; the nearest is named.
+        When the ledger has no such entry; those that may be meant are named.
     """
     by_id = {claim.entry.id: claim for claim in claims}
     if name not in by_id:
-        raise InputError(f"the ledger has no entry {name!r}{nearest(name, by_id)}")
+        raise InputError(f"the ledger has no entry {name!r}{_meant(name, claims)}")
     return by_id[name]
+
+
+def _meant(name: str, claims: list[Claim]) -> str:
+    """The entry that is spelt alike, else those whose id and place hold most of the words; all have its numbers."""
+    wanted = _words(name)
+    held = {each.entry.id: wanted & _words(f"{each.entry.id} {each.entry.place}") for each in claims}
+    held = {each: words for each, words in held.items() if not any(w[0].isdigit() for w in wanted - words)}
+    most = max(map(len, held.values()), default=0)
+    near = [each for each, words in held.items() if 2 * len(words) > len(wanted) and len(words) == most]
+    found = difflib.get_close_matches(name, held, n=1, cutoff=0.85) or near[:3]
+    return f"; did you mean {' or '.join(map(repr, found))}?" if found else ""
+
+
+def _words(text: str) -> set[str]:
+    """Words and numbers, a number of a table as in an id: 3-5 for 3.5."""
+    return {each.replace(".", "-") for each in re.findall(r"\d+(?:[.-]\d+)*|[a-z]+", text.lower())}
 
 
 def entry_text(fields: dict, width: int) -> str:

@@ -4,9 +4,11 @@ from collections import Counter
 
 import pytest
 
+from workbook.checks import InputError
 from workbook.claims import Claim, Entry, Tolerance
 from workbook.report import (
     column,
+    find,
     ledger_text,
     our_quantity,
     summary,
@@ -82,3 +84,22 @@ def test_a_verdict_is_shown_with_what_keeps_it_from_being_evidence():
         "not replicated (outside, calibrated, counterfactual)",
     ]
     assert "replicated (inside, fitted)" in ledger_text(judged, 200)
+
+
+@pytest.mark.parametrize(
+    ("guess", "meant"),
+    [
+        ("table-1.gain", "; did you mean 'motion.bandwidth.gain'?"),  # by its table
+        ("motion.bandwidth.gian", "; did you mean 'motion.bandwidth.gain'?"),  # spelt alike
+        ("table-2.gain", ""),  # no such table
+        ("table-1", "; did you mean 'motion.bandwidth.gain' or 'motion.bandwidth.loss'?"),
+    ],
+)
+def test_what_a_guessed_name_may_mean_is_named(guess, meant):
+    entries = [
+        Entry(f"motion.bandwidth.{name}", "Table 1", name, "1", "reported", reason="x")
+        for name in ("gain", "loss")
+    ]
+    with pytest.raises(InputError) as told:
+        find([Claim(each) for each in entries], guess)
+    assert str(told.value) == f"the ledger has no entry {guess!r}{meant}"

@@ -178,7 +178,10 @@ def test_a_topic_has_a_page_of_what_its_paper_must_have_used(files):
     assert f"{joint.agree} of {joint.numbers} printed numbers" in text.replace("\n", " ").replace("  ", " ")
     telling = {s.axis for s in joint.settings if s.supports or s.contradicts or s.agree < joint.agree}
     rows = re.findall(r"<tr><td>([^ <]*)(?: <small>.*?</small>)?</td><td>(.*?)</td>", text)
-    assert [axis for axis, _ in rows] == [each.axis for each in joint.settings if each.axis in telling]
+    axes, _ = load_axes("motion")
+    ours = {axis: axes[axis].texts[axes[axis].default_index] for axis in telling}
+    listed = [each.axis for each in joint.settings if each.axis in telling]
+    assert [axis for axis, _ in rows] == sorted(listed, key=lambda axis: joint.best[axis] == ours[axis])
     best = {
         axis: re.search("<strong>(.*?)</strong>", option)[1] for axis, option in rows if "<strong>" in option
     }
@@ -188,7 +191,6 @@ def test_a_topic_has_a_page_of_what_its_paper_must_have_used(files):
     for each in joint.windows:
         for low, high in each.pieces:
             assert f"{low:.12g} to {high:.12g}" in text
-    axes, _ = load_axes("motion")
     for axis in telling:
         assert f"{axis} <small>{axes[axis].question}</small>" in html.unescape(text)
     assert 'src="../figures/motion/09-bandwidth-table/limits.png"' in text

@@ -177,6 +177,7 @@ def _choice_pages(render, topics: list[dict]) -> dict[str, bytes]:
             files[f"choices/{name}.html"] = render("choices.html", "../", topic=topic, curves=topic["curves"])
         if joint:
             axes, multiverses = load_axes(name)
+            ours = {axis: axes[axis].texts[axes[axis].default_index] for axis in joint.best}
             files[f"settings/{name}.html"] = render(
                 "settings.html",
                 "../",
@@ -187,6 +188,7 @@ def _choice_pages(render, topics: list[dict]) -> dict[str, bytes]:
                 unsearched=unsearched(multiverses),
                 equal=topic["equal"],
                 telling=joint.telling,
+                moved={axis for axis in joint.telling if joint.best[axis] != ours[axis]},
                 silent=sorted({each.axis for each in joint.settings} - joint.telling),
                 windows=by_axis(joint),
             )
