@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Bool
 from scipy import special
 
 from experiments.fixedpoint import statements as said
@@ -31,6 +32,12 @@ class MeasuredKalman(UnscentedKalman):
     """The Kalman filter in a loop that takes the error from the measured position, as with the other two."""
 
     error_from_measurement = True
+
+
+def pooled(studies: dict[str, dict[str, Study]], kalman: str) -> dict[str, Bool[np.ndarray, " runs"]]:
+    """The statements over the runs of all cases together."""
+    each = [statements(study, kalman) for study in studies.values()]
+    return {name: np.concatenate([obeyed[name] for obeyed in each]) for name in each[0]}
 
 
 def controllers(

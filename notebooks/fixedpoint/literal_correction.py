@@ -4,16 +4,55 @@ from dataclasses import replace
 
 import numpy as np
 
+from experiments.fixedpoint.axes import COLOURS, legend_above
+from experiments.fixedpoint.error_lines import approximate, paint_error_lines
 from experiments.fixedpoint.metrics import compare, sweep
 from experiments.fixedpoint.noise import Noise
 from experiments.fixedpoint.oscillator import load_oscillator
-from experiments.fixedpoint.published import KALMAN, LITERAL
+from experiments.fixedpoint.published import KALMAN, LITERAL, published_controllers
 from experiments.fixedpoint.run_pictures import paint_errors_over_frequency
+from stillwork.control.controlled_run import ControlledRun
 from stillwork.control.fixed_point import Controller
+from stillwork.control.kinematics import KinematicDesign
 from stillwork.control.trajectory import Trajectory, asin_trajectory
 from stillwork.estimation.unscented import SigmaPoints
+from workbook import figures
 
 FREQUENCIES_HZ = (0.1, 0.15, 0.2, 0.3, 0.4)
+
+
+def paint_shift(frequency_hz: float, exponent: float):
+    """Both forms of the Kalman filter without noise: the printed one tracks late by one sample."""
+    trajectory, published = asin_trajectory(frequency_hz=frequency_hz), published_controllers(approximate())
+    moved = {
+        name: replace(published[name], kinematics=KinematicDesign(exponent)) for name in (KALMAN, LITERAL)
+    }
+    figure = paint_error_lines(moved, trajectory, Noise(), "without noise", (0.0, 12.0))
+    [axes] = figure.axes
+    nominal = trajectory.time[::20], trajectory.velocity[::20]
+    axes.plot(*nominal, "k:", lw=1, label="1 ms times the nominal velocity")
+    axes.legend(fontsize=7)
+    return figure
+
+
+def paint_estimate_shift(runs: dict[str, ControlledRun]):
+    """Error of the filter's estimates against the derivative, after 2 s: a shift in time is a straight line."""
+    figure, panels = figures.new(1, 2, height=3.4)
+    rows = (
+        ("position", "velocity", "velocity q' (m/s)", "error of the estimate of q (mm)"),
+        ("velocity", "deformed", "the model's acceleration (m/s²)", "error of the estimate of q' (mm/s)"),
+    )
+    step_ms = 1e3 * next(iter(runs.values())).trajectory.sample_time
+    part = slice(round(2e3 / step_ms), None, 40)
+    for axes, (quantity, derivative, across, up) in zip(panels, rows, strict=True):
+        for name, run in runs.items():
+            error = 1e3 * (getattr(run, f"{quantity}_estimate") - getattr(run, quantity))[part]
+            axes.plot(getattr(run, derivative)[part], error, ".", ms=3, color=COLOURS[name], label=name)
+        reach = np.array(axes.get_xlim())
+        axes.plot(reach, step_ms * reach, "k:", lw=1, label=f"one sample ({step_ms:g} ms) ahead")
+        axes.set(xlabel=across, ylabel=up)
+    legend_above(panels[0])
+    return figure
 
 
 def appendix(

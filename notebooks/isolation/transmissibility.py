@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 from experiments.isolation.floors import flat_floor
 from experiments.isolation.performance import (
     DIRECTIONS,
+    central_axes,
     diagonal_size,
-    exact_transmissibility,
     expected_density,
     record_case,
     record_cases,
@@ -21,15 +21,29 @@ from experiments.isolation.performance import (
     tune,
 )
 from experiments.isolation.performance_pictures import STYLES
-from experiments.isolation.responses import COARSE_HZ, thinned
+from experiments.isolation.responses import COARSE_HZ, responses, thinned
 from experiments.isolation.simulation import TOGETHER
 from experiments.isolation.steady import steady_state
 from experiments.isolation.twin import Twin, load_twin
-from stillwork.base.checks import require_array
+from stillwork.base.checks import InputError, require_array
 from stillwork.signals.spectra import band_power
 from workbook import figures, paths
 from workbook.choices.kept import wanted
 from workbook.studies import fraction
+
+
+def exact_transmissibility(
+    twin: Twin, frequencies_hz: ArrayLike, *, weights: ArrayLike | None = None
+) -> Complex128[np.ndarray, "3 3 frequencies"]:
+    """Transmissibility from floor to platform in z, θx, θy without any noise, from the model's responses.
+
+    Platform directions along the first axis, floor directions along the second.
+    """
+    axes = central_axes(twin.rig)
+    if np.linalg.matrix_rank(axes.floor_readings, 1e-9) < 3:
+        raise InputError("floor_sensors do not fix z, θx and θy of the plate; place three apart")
+    whole = responses(twin, frequencies_hz).transmissibility(weights)
+    return (axes.platform @ whole @ axes.floor_readings).transpose(1, 2, 0)
 
 
 def band_means(

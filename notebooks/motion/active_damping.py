@@ -10,7 +10,7 @@ from experiments.motion.designs import (
     DESIGNS,
     Design,
     design_controller,
-    first_crossing,
+    quick_limit,
     stage_loops,
     stage_observer,
 )
@@ -38,6 +38,12 @@ from stillwork.signals.moving_average import moving
 from workbook import figures
 
 FLEXIBLE = ("flex1", "flex2", "flex3")
+
+
+def first_crossing(setting: Design, position: int) -> float:
+    """First crossing at one mass (Hz) of a design's largest bandwidth, see `quick_limit`; NaN: there is none."""
+    found = quick_limit(setting)
+    return np.nan if found is None else float(found[1].crossing_hz[position - 1])
 
 
 def damped_ratios(model: ModalModel, increase: float) -> tuple[pd.DataFrame, pd.DataFrame]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from itertools import product
 
 import numpy as np
@@ -21,8 +22,10 @@ from experiments.motion.designs import (
     quick_limit,
     stage_loops,
 )
+from experiments.motion.explorers import THREE, limit_hz, loops_of
 from experiments.motion.intervals import Values
 from experiments.motion.machines import published_deviations, stage
+from experiments.motion.pictures import LABELS, decibel, mark_limit, paint_bode
 from stillwork.control.applications import Application
 from stillwork.control.bandwidth import SIX_DB, Bandwidth, highest_peaks
 from stillwork.control.crossover import crossover
@@ -36,6 +39,39 @@ from workbook import figures
 
 AGAIN_HZ = 73.0  # printed a second time for MC with two constraints
 PRINTED = sorted([*PRINTED_HZ.items(), ("MC, two constraints", AGAIN_HZ)], key=lambda each: each[1])
+
+
+def table_presets(*designs: str) -> dict[str, dict]:
+    """Presets of `paint_published`: each design at its limit, and at the bandwidth that Table 3.5 prints."""
+    found = {name: {"design": name} for name in designs}
+    for name in designs:
+        part = round(100 * PRINTED_HZ[name] / limit_hz(name), 1)
+        found[f"{name}, printed {PRINTED_HZ[name]:g} Hz"] = {"design": name, "part": part}
+    return found
+
+
+@lru_cache
+def _envelopes():
+    """The figure of `paint_published`, kept from one move to the next: its lines and title are set anew."""
+    omega = loops_of(DESIGNS["PID"])[0].omega
+    flat = {LABELS[name]: (omega, np.ones(len(omega))) for name in THREE}
+    figure, axes = paint_bode(flat, "largest over the masses (dB)", height=3.2, xlim=(1, 2e3), ylim=(-50, 15))
+    mark_limit(axes[0])
+    return figure
+
+
+def paint_published(design: str, part: float):
+    """Explorer: a published design at a part (%) of the largest bandwidth that it allows, the worst of its seven loops."""
+    loops, controller = loops_of(DESIGNS[design]), controllers(DESIGNS[design])(part / 100 * limit_hz(design))
+    omega, figure = loops[0].omega, _envelopes()
+    responses = [loop.at(controller, omega) for loop in loops]
+    for line, name in zip(figure.axes[0].lines, THREE, strict=False):
+        worst = np.max([np.abs(getattr(each, name)) for each in responses], axis=0)
+        line.set_data(omega / (2 * np.pi), decibel(worst))
+    peaks = [decibel(each.magnitude) for each in highest_peaks(loops, controller, THREE).values()]
+    written = ", ".join(f"{each:.1f}" for each in peaks)
+    figure.axes[0].set_title(f"peaks: {written} dB" if np.isfinite(peaks).all() else "unstable")
+    return figure
 
 
 def interval_of(crossings: np.ndarray) -> tuple[float, float]:

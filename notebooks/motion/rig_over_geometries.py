@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -12,7 +13,7 @@ from matplotlib.lines import Line2D
 
 from experiments.motion.intervals import Values, central
 from experiments.motion.pictures import plain
-from experiments.motion.rig import Geometry, assumed, assumed_geometry, excitation, rig_model
+from experiments.motion.rig import Geometry, assumed, assumed_geometry, excitation, published, rig_model
 from experiments.motion.rig_designs import (
     CASES,
     COLOURS,
@@ -28,13 +29,41 @@ from experiments.motion.rig_designs import (
     rig_loops,
 )
 from experiments.motion.rig_loops import FUNCTIONS, MEASURES, RigLoop
-from experiments.motion.rig_study import Levelling, flexible_peaks, levelling, levelling_rms
+from experiments.motion.rig_study import Levelling, held_mass, levelling, levelling_rms
 from stillwork.base.checks import InputError
 from stillwork.base.validation import checked
 from stillwork.control.pid import Pid
 from stillwork.estimation.observer import NoiseIntensities
 from workbook import figures
 from workbook.studies import Study, fraction
+
+
+class FlexiblePeaks(NamedTuple):
+    """What is flexible in a decoupled plant, over the four positions."""
+
+    peaks: Float64[np.ndarray, "8"]  # m/N, largest singular value near every published mode
+    coupling: float  # m/N, mean magnitude of the off-diagonal entries at a tenth of the first mode
+
+
+def flexible_peaks(loops: list[RigLoop]) -> FlexiblePeaks:
+    """Peaks of the difference between the equivalent plant and the rigid body (motions of the edges)."""
+    modes = 2 * np.pi * np.array(published()["frequencies_hz"])
+    middle = np.sqrt(modes[1:] * modes[:-1])
+    # Within 5 % of each mode, and no nearer to another one; further away the tails of lower modes are larger.
+    low = np.maximum(0.95 * modes, np.append(0.0, middle))
+    high = np.minimum(1.05 * modes, np.append(middle, np.inf))
+    found, coupling = [], []
+    for loop in loops:
+        rigid = held_mass(loop.omega, loop.sample_time)
+        seen = np.moveaxis(loop.equivalent_plant(), -1, 0)
+        bands = np.array([(loop.omega >= a) & (loop.omega <= b) for a, b in zip(low, high, strict=True)])
+        used = bands.any(axis=0)
+        apart = seen[used] - rigid[used, None, None] * np.diag(1 / loop.decoupling.masses)
+        sizes = np.linalg.norm(apart, 2, axis=(1, 2))
+        found.append([sizes[band].max() for band in bands[:, used]])
+        slow = np.abs(seen[np.searchsorted(loop.omega, modes[0] / 10)])
+        coupling.append(slow[~np.eye(3, dtype=bool)].mean())
+    return FlexiblePeaks(np.max(found, axis=0), float(np.mean(coupling)))
 
 
 def sample_geometry(rng: np.random.Generator) -> Geometry:

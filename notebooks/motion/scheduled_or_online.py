@@ -16,7 +16,6 @@ from experiments.motion.machines import (
     stage,
     stage_mass,
 )
-from experiments.motion.position_dependence import GainTable
 from experiments.motion.scan_study import along_scan, contiguous, output_rows
 from stillwork.base.algebra import add_scaled, advance_state, copy_vector, minus_row, plus_column, plus_row
 from stillwork.base.checks import InputError
@@ -31,6 +30,22 @@ from stillwork.lti.discretisation import zoh, zoh_modes
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.reduction import truncate
 from workbook import figures
+
+
+@dataclass(frozen=True)
+class GainTable:
+    """Stationary filter gains on a grid of positions."""
+
+    grid: Float64[np.ndarray, " places"]  # m, ascending
+    gains: Float64[np.ndarray, "places states outputs"]
+
+    def at(self, places: ArrayLike) -> Float64[np.ndarray, "samples states outputs"]:
+        """Gains at places (m) on the grid by linear interpolation."""
+        places = np.asarray(places, float)
+        right = np.clip(np.searchsorted(self.grid, places), 1, len(self.grid) - 1)
+        part = (places - self.grid[right - 1]) / (self.grid[right] - self.grid[right - 1])
+        part = part[:, None, None]
+        return (1 - part) * self.gains[right - 1] + part * self.gains[right]
 
 
 def gain_table(

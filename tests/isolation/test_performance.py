@@ -8,7 +8,6 @@ import pytest
 from experiments.isolation.floors import flat_floor
 from experiments.isolation.performance import (
     central_axes,
-    exact_transmissibility,
     expected_density,
     record_case,
     reduction_db,
@@ -18,7 +17,7 @@ from experiments.isolation.twin import load_twin
 from notebooks.isolation import transmissibility
 from notebooks.isolation.floor_and_paths import suspension_modes
 from notebooks.isolation.power import without_lines
-from notebooks.isolation.transmissibility import band_means
+from notebooks.isolation.transmissibility import band_means, exact_transmissibility
 from stillwork.signals.spectra import Spectrum
 
 

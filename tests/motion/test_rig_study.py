@@ -17,8 +17,9 @@ from experiments.motion.rig_designs import (
     rig_controllers,
     rig_loops,
 )
-from experiments.motion.rig_study import flexible_peaks, levelling, levelling_rms, output_variance
+from experiments.motion.rig_study import levelling, levelling_rms, output_variance
 from notebooks.motion.over_actuated_rig import levelling_error, placed_damping
+from notebooks.motion.rig_over_geometries import flexible_peaks
 from stillwork.base.checks import InputError
 from stillwork.estimation.observer import NoiseIntensities
 

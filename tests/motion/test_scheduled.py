@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from experiments.motion.machines import shapes_along, stage, stage_mass
-from experiments.motion.position_dependence import GainTable
 from experiments.motion.scan_study import output_rows
 from notebooks.motion.scheduled_or_online import (
+    GainTable,
     gain_table,
     observer_model,
     position_scan,

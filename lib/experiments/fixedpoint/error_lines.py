@@ -6,8 +6,7 @@ from experiments.fixedpoint.axes import COLOURS
 from experiments.fixedpoint.metrics import judge, noisy_run
 from experiments.fixedpoint.noise import Noise
 from experiments.fixedpoint.oscillator import load_oscillator
-from experiments.fixedpoint.published import KALMAN, LITERAL, LOW_PASS, WINDOW, published_controllers
-from stillwork.control.kinematics import KinematicDesign
+from experiments.fixedpoint.published import LITERAL, LOW_PASS, WINDOW, published_controllers
 from stillwork.control.trajectory import asin_trajectory
 from stillwork.estimation.coordinate_filters import LowPass, MovingWindow
 from workbook import figures
@@ -52,17 +51,3 @@ def paint_noisy(kind: str, amplitude: float, frequency_hz: float, integration: s
     chosen, trajectory = published_controllers(approximate()), asin_trajectory(frequency_hz=frequency_hz)
     noise = Noise(kind, amplitude)
     return paint_error_lines(chosen, trajectory, noise, f"{kind} noise", integration=integration)
-
-
-def paint_shift(frequency_hz: float, exponent: float):
-    """Both forms of the Kalman filter without noise: the printed one tracks late by one sample."""
-    trajectory, published = asin_trajectory(frequency_hz=frequency_hz), published_controllers(approximate())
-    moved = {
-        name: replace(published[name], kinematics=KinematicDesign(exponent)) for name in (KALMAN, LITERAL)
-    }
-    figure = paint_error_lines(moved, trajectory, Noise(), "without noise", (0.0, 12.0))
-    [axes] = figure.axes
-    nominal = trajectory.time[::20], trajectory.velocity[::20]
-    axes.plot(*nominal, "k:", lw=1, label="1 ms times the nominal velocity")
-    axes.legend(fontsize=7)
-    return figure

@@ -122,23 +122,3 @@ def paint_errors_over_frequency(
     panels[0].set_ylabel(error)
     legend_above(panels[0])
     return figure
-
-
-def paint_estimate_shift(runs: dict[str, ControlledRun]):
-    """Error of the filter's estimates against the derivative, after 2 s: a shift in time is a straight line."""
-    figure, panels = figures.new(1, 2, height=3.4)
-    rows = (
-        ("position", "velocity", "velocity q' (m/s)", "error of the estimate of q (mm)"),
-        ("velocity", "deformed", "the model's acceleration (m/s²)", "error of the estimate of q' (mm/s)"),
-    )
-    step_ms = 1e3 * next(iter(runs.values())).trajectory.sample_time
-    part = slice(round(2e3 / step_ms), None, 40)
-    for axes, (quantity, derivative, across, up) in zip(panels, rows, strict=True):
-        for name, run in runs.items():
-            error = 1e3 * (getattr(run, f"{quantity}_estimate") - getattr(run, quantity))[part]
-            axes.plot(getattr(run, derivative)[part], error, ".", ms=3, color=COLOURS[name], label=name)
-        reach = np.array(axes.get_xlim())
-        axes.plot(reach, step_ms * reach, "k:", lw=1, label=f"one sample ({step_ms:g} ms) ahead")
-        axes.set(xlabel=across, ylabel=up)
-    legend_above(panels[0])
-    return figure

@@ -70,9 +70,3 @@ def relative_change(before: np.ndarray, after: np.ndarray) -> tuple[float, tuple
     """Mean change from one study to another, run by run, over the mean before, and its 95 % interval."""
     change = (after - before) / before.mean()
     return float(change.mean()), mean_interval(change)
-
-
-def pooled(studies: dict[str, dict[str, Study]], kalman: str) -> dict[str, Bool[np.ndarray, " runs"]]:
-    """The statements over the runs of all cases together."""
-    each = [statements(study, kalman) for study in studies.values()]
-    return {name: np.concatenate([obeyed[name] for obeyed in each]) for name in each[0]}

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Complex128, Float64
+from jaxtyping import Float64
 from numpy.typing import ArrayLike
 from scipy import signal
 
@@ -132,20 +132,6 @@ def record_cases(
         CaseRecord(axes.floor @ run.sensed_floor, axes.platform @ run.measured_platform, run.sample_rate)
         for run in (each[name] for each in runs)
     ]
-
-
-def exact_transmissibility(
-    twin: Twin, frequencies_hz: ArrayLike, *, weights: ArrayLike | None = None
-) -> Complex128[np.ndarray, "3 3 frequencies"]:
-    """Transmissibility from floor to platform in z, θx, θy without any noise, from the model's responses.
-
-    Platform directions along the first axis, floor directions along the second.
-    """
-    axes = central_axes(twin.rig)
-    if np.linalg.matrix_rank(axes.floor_readings, 1e-9) < 3:
-        raise InputError("floor_sensors do not fix z, θx and θy of the plate; place three apart")
-    whole = responses(twin, frequencies_hz).transmissibility(weights)
-    return (axes.platform @ whole @ axes.floor_readings).transpose(1, 2, 0)
 
 
 def diagonal_size(response: ArrayLike) -> Float64[np.ndarray, "3 frequencies"]:

@@ -3,8 +3,6 @@
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
-import numpy as np
-
 from experiments.motion.machines import published_noise, stage, stage_mass
 from stillwork.base.checks import InputError, require_choice
 from stillwork.control.applications import Application, compensator
@@ -142,12 +140,6 @@ def quick_limit(setting: Design) -> tuple[list[Loop], Bandwidth] | None:
         return loops, maximise_bandwidth(loops, family, limits, 20.0, 110.0, scan=46, tolerance_hz=0.02)
     except InputError:  # no feasible bandwidth is a result here
         return None
-
-
-def first_crossing(setting: Design, position: int) -> float:
-    """First crossing at one mass (Hz) of a design's largest bandwidth, see `quick_limit`; NaN: there is none."""
-    found = quick_limit(setting)
-    return np.nan if found is None else float(found[1].crossing_hz[position - 1])
 
 
 COMPENSATIONS = {  # what keeps the integral action of MC: Q_nu, and the corner of a high-pass (Hz)

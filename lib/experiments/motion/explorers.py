@@ -8,9 +8,7 @@ import numpy as np
 from experiments.motion.designs import (
     DESIGNS,
     NOISE_MODEL,
-    PRINTED_HZ,
     Design,
-    controllers,
     stage_bandwidth,
     stage_loops,
 )
@@ -19,7 +17,6 @@ from experiments.motion.pictures import (
     LABELS,
     decibel,
     magnitudes_over_masses,
-    mark_limit,
     paint_bode,
     paint_over_masses,
 )
@@ -46,7 +43,7 @@ THREE = ("input_sensitivity", "output_sensitivity", "true_tracking")
 
 
 @lru_cache(maxsize=8)
-def _loops(design: Design) -> list[Loop]:
+def loops_of(design: Design) -> list[Loop]:
     """Loops of the seven masses: they stay while the bandwidth alone moves."""
     return stage_loops(design, points=120, around=5)
 
@@ -61,7 +58,7 @@ def paint_design(
     """Explorer: S_I and S_O of the seven loops for one controller and one use of the observer."""
     used = damping > 0 or compensate == "yes"
     application = Application(compensate == "yes", damping, selectivity=selectivity) if used else None
-    loops, controller = _loops(Design(application, noise_model)), PidFamily(stage_mass())(bandwidth_hz)
+    loops, controller = loops_of(Design(application, noise_model)), PidFamily(stage_mass())(bandwidth_hz)
     figure, names = _panels(), THREE[:2]
     curves = magnitudes_over_masses({name: (loops, controller, name) for name in names})
     peaks = highest_peaks(loops, controller, names)
@@ -76,12 +73,12 @@ def paint_design(
 @lru_cache
 def _panels():
     """The figure of `paint_design`, kept from one move to the next: its lines and titles are set anew."""
-    plain = _loops(DESIGNS["PID"]), PidFamily(stage_mass())(10.0)
+    plain = loops_of(DESIGNS["PID"]), PidFamily(stage_mass())(10.0)
     return paint_over_masses({LABELS[name]: (*plain, name) for name in THREE[:2]})
 
 
 @lru_cache(maxsize=8)
-def _limit_hz(design: str) -> float:
+def limit_hz(design: str) -> float:
     return stage_bandwidth(design).design_hz
 
 
@@ -96,7 +93,7 @@ def design_presets(designs: Iterable[str], *controls: str) -> dict[str, dict]:
         used = name.removesuffix(ORIGINAL)
         use = DESIGNS[used].application or Application()
         settings = {
-            "bandwidth_hz": float(np.floor(10 * _limit_hz(used if used == name else "PID")) / 10),
+            "bandwidth_hz": float(np.floor(10 * limit_hz(used if used == name else "PID")) / 10),
             "damping": use.damping,
             "selectivity": use.selectivity,
             "compensate": "yes" if use.compensate else "no",
@@ -104,36 +101,3 @@ def design_presets(designs: Iterable[str], *controls: str) -> dict[str, dict]:
         }
         found[name] = {control: settings[control] for control in controls}
     return found
-
-
-def table_presets(*designs: str) -> dict[str, dict]:
-    """Presets of `paint_published`: each design at its limit, and at the bandwidth that Table 3.5 prints."""
-    found = {name: {"design": name} for name in designs}
-    for name in designs:
-        part = round(100 * PRINTED_HZ[name] / _limit_hz(name), 1)
-        found[f"{name}, printed {PRINTED_HZ[name]:g} Hz"] = {"design": name, "part": part}
-    return found
-
-
-@lru_cache
-def _envelopes():
-    """The figure of `paint_published`, kept from one move to the next: its lines and title are set anew."""
-    omega = _loops(DESIGNS["PID"])[0].omega
-    flat = {LABELS[name]: (omega, np.ones(len(omega))) for name in THREE}
-    figure, axes = paint_bode(flat, "largest over the masses (dB)", height=3.2, xlim=(1, 2e3), ylim=(-50, 15))
-    mark_limit(axes[0])
-    return figure
-
-
-def paint_published(design: str, part: float):
-    """Explorer: a published design at a part (%) of the largest bandwidth that it allows, the worst of its seven loops."""
-    loops, controller = _loops(DESIGNS[design]), controllers(DESIGNS[design])(part / 100 * _limit_hz(design))
-    omega, figure = loops[0].omega, _envelopes()
-    responses = [loop.at(controller, omega) for loop in loops]
-    for line, name in zip(figure.axes[0].lines, THREE, strict=False):
-        worst = np.max([np.abs(getattr(each, name)) for each in responses], axis=0)
-        line.set_data(omega / (2 * np.pi), decibel(worst))
-    peaks = [decibel(each.magnitude) for each in highest_peaks(loops, controller, THREE).values()]
-    written = ", ".join(f"{each:.1f}" for each in peaks)
-    figure.axes[0].set_title(f"peaks: {written} dB" if np.isfinite(peaks).all() else "unstable")
-    return figure

@@ -1,6 +1,6 @@
 """Machines, observers, loops and gains as functions of position (sections 4.2, 5.6): the sensor or the actuator moves."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float64
@@ -44,19 +44,3 @@ def compensator_at(plant: ModalModel, grid: ArrayLike, place: float, design: Des
     if design.application is None:
         return None
     return compensator(observer_at(plant, grid, place, design.noise_model), design.application)
-
-
-@dataclass(frozen=True)
-class GainTable:
-    """Stationary filter gains on a grid of positions."""
-
-    grid: Float64[np.ndarray, " places"]  # m, ascending
-    gains: Float64[np.ndarray, "places states outputs"]
-
-    def at(self, places: ArrayLike) -> Float64[np.ndarray, "samples states outputs"]:
-        """Gains at places (m) on the grid by linear interpolation."""
-        places = np.asarray(places, float)
-        right = np.clip(np.searchsorted(self.grid, places), 1, len(self.grid) - 1)
-        part = (places - self.grid[right - 1]) / (self.grid[right] - self.grid[right - 1])
-        part = part[:, None, None]
-        return (1 - part) * self.gains[right - 1] + part * self.gains[right]

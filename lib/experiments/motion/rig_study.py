@@ -2,13 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Complex128, Float64
 from scipy import linalg
 
-from experiments.motion.rig import assumed, published
+from experiments.motion.rig import assumed
 from experiments.motion.rig_loops import RigLoop
 from stillwork.base.checks import InputError
 from stillwork.control.loops import channel
@@ -116,31 +115,3 @@ def output_variance(a, b, c, d) -> Float64[np.ndarray, " outputs"]:
         if np.abs(more).max() < 1e-14 * np.abs(covariance).max():
             return np.einsum("ij,jk,ik->i", c, covariance, c) + (d**2).sum(axis=1)
     raise InputError("a: the model is not stable enough for its noise to settle; lower the bandwidth")
-
-
-class FlexiblePeaks(NamedTuple):
-    """What is flexible in a decoupled plant, over the four positions."""
-
-    peaks: Float64[np.ndarray, "8"]  # m/N, largest singular value near every published mode
-    coupling: float  # m/N, mean magnitude of the off-diagonal entries at a tenth of the first mode
-
-
-def flexible_peaks(loops: list[RigLoop]) -> FlexiblePeaks:
-    """Peaks of the difference between the equivalent plant and the rigid body (motions of the edges)."""
-    modes = 2 * np.pi * np.array(published()["frequencies_hz"])
-    middle = np.sqrt(modes[1:] * modes[:-1])
-    # Within 5 % of each mode, and no nearer to another one; further away the tails of lower modes are larger.
-    low = np.maximum(0.95 * modes, np.append(0.0, middle))
-    high = np.minimum(1.05 * modes, np.append(middle, np.inf))
-    found, coupling = [], []
-    for loop in loops:
-        rigid = held_mass(loop.omega, loop.sample_time)
-        seen = np.moveaxis(loop.equivalent_plant(), -1, 0)
-        bands = np.array([(loop.omega >= a) & (loop.omega <= b) for a, b in zip(low, high, strict=True)])
-        used = bands.any(axis=0)
-        apart = seen[used] - rigid[used, None, None] * np.diag(1 / loop.decoupling.masses)
-        sizes = np.linalg.norm(apart, 2, axis=(1, 2))
-        found.append([sizes[band].max() for band in bands[:, used]])
-        slow = np.abs(seen[np.searchsorted(loop.omega, modes[0] / 10)])
-        coupling.append(slow[~np.eye(3, dtype=bool)].mean())
-    return FlexiblePeaks(np.max(found, axis=0), float(np.mean(coupling)))
