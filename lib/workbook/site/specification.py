@@ -151,12 +151,13 @@ def over_combinations(standing: Robustness) -> str:
     ----------
     standing : Robustness
     """
-    tried = standing.tried
+    tried, failed = standing.tried, int(standing.failed.sum())
+    left = f" ({failed} more could not be judged)" if failed else ""
     if standing.agree == 0:
-        return f"differs under all {tried} combinations"
+        return f"differs under all {tried} combinations{left}"
     number = f"all {tried}" if standing.agree == tried else f"{standing.agree} of {tried}"
     decided = f", decided by {' and '.join(standing.decided_by)}" if standing.decided_by else ""
-    return f"agrees under {number} combinations{decided}"
+    return f"agrees under {number} combinations{left}{decided}"
 
 
 def status(claim: Claim) -> str:

@@ -7,6 +7,7 @@ from workbook import paths
 from workbook.checks import InputError, read_toml
 from workbook.claims import VERDICT_WORDS, Claim
 from workbook.report import our_quantity, published_quantity
+from workbook.site.specification import over_combinations
 
 STATEMENTS = ("ordering", "slope", "exact")
 PAGE = "docs/conclusions.md"
@@ -57,8 +58,8 @@ def page_of(topics: Iterable[tuple[str, str]], claims: Sequence[Claim]) -> str:
         "# What the papers conclude, and what we find",
         "",
         "A line for each conclusion, and for each claim of an abstract. Its verdict is the weakest of the statements that judge",
-        "it, over all combinations of open choices (*agrees under 3 of 4*), of the numbers where no statement does. A value is that",
-        "of our own settings. *Not judged*: the paper states no number, or one that we cannot test.",
+        "it, over all combinations of open choices, of the numbers where no statement does. A value is that of our own",
+        "settings. *Not judged*: the paper states no number, or one that we cannot test.",
     ]
     for topic, paper in topics:
         if mine := stated(topic, by_id):
@@ -82,6 +83,4 @@ def _found(claim: Claim) -> str:
     text = f"[{quantity}](../notebooks/{claim.notebook}.ipynb)" if claim.notebook else quantity
     text += f": {ours}" + (f" (printed {printed})" if printed not in ("", ours) else "")
     over = claim.over
-    return (
-        text if over is None or over.share is None else f"{text}, agrees under {over.agree} of {over.tried}"
-    )
+    return text if over is None or over.share is None else f"{text}, {over_combinations(over)}"
