@@ -197,27 +197,39 @@ def in_nanometres(size: float):
 
 
 def paint_box(size: float):
-    """Error of each design over the least at the same place, by floor: the nominal stage and the places of the box."""
+    """Error of each design over the least at the same place, by floor: the nominal stage, and places and corners of the box."""
     figure, axes = figures.new(height=3.4)
-    whole = 1 + margins(nominal_and_box(size))
+    pairs = zip(DESIGNS, nominal_and_box(size), strict=True)
+    whole = 1 + margins([np.vstack([errors[:1], boxed(design, size)]) for design, errors in pairs])
+    gone = np.isinf(whole).any(axis=(0, 2))
+    whole[np.isinf(whole)] = np.nan
     colours, marks = (figures.GREY, figures.ORANGE, figures.BLUE, figures.GREEN), "sD^o"
-    places = np.arange(len(FLOORS))
+    floors = np.arange(len(FLOORS))
     for k, (design, colour, mark) in enumerate(zip(DESIGNS, colours, marks, strict=True)):
-        at = places + 0.2 * (k - 1.5)
-        stable = np.where(np.isinf(whole[k]), np.nan, whole[k])
-        low, high = np.nanmin(stable, axis=0), np.nanmax(stable, axis=0)
-        axes.vlines(at, low, high, color=colour, linewidth=3, alpha=0.5)
+        at, stable = floors + 0.2 * (k - 1.5), whole[k, ~gone]
+        axes.vlines(at, stable.min(axis=0), stable.max(axis=0), color=colour, linewidth=3, alpha=0.5)
         axes.plot(at, whole[k, 0], mark, color=colour, markersize=4.5, linestyle="none", label=design)
+        for errors in whole[k, gone]:
+            axes.plot(
+                at, errors, "x", color=colour, markersize=5, label=f"_{design}, where another is unstable"
+            )
+    if gone.any():
+        lost = ",\nor ".join(
+            name for name, each in zip(DESIGNS, whole, strict=True) if np.isnan(each[gone]).any()
+        )
+        axes.plot(
+            [], [], "kx", markersize=5, label=f"others where {lost},\nis unstable ({gone.sum()} places)"
+        )
     axes.axhspan(
         1.0, 1 + LEVEL, color=figures.GREY, alpha=0.25, linewidth=0, label=f"level, within {100 * LEVEL:g} %"
     )
-    axes.set_xticks(places, [name.split()[0] for name in FLOORS])
+    axes.set_xticks(floors, [name.split()[0] for name in FLOORS])
     axes.set_yscale("log")
     axes.set_yticks([1, 1.5, 2, 3, 4], ["1", "1.5", "2", "3", "4"])
     axes.minorticks_off()
     axes.set(
         ylabel="error over the least\nat the same place",
-        xlabel=f"floor (mark: nominal stage; bar: stable places of the box of {100 * size:g} %)",
+        xlabel=f"floor (mark: nominal stage; bar: places of the box of {100 * size:g} % where all are stable)",
         xlim=(-0.6, len(FLOORS) - 0.4),
     )
     axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0))

@@ -481,43 +481,45 @@ def range_of(ratios: list[float]) -> str:
 
 
 def paint_ratios(found: dict[str, dict[str, np.ndarray]]):
-    """Error over computed torque's by case, a panel a machine: means and 95 % intervals over plants, and who diverged."""
-    figure, panels = figures.new(1, len(found), height=3.8, sharey=True, sharex=True)
-    for axes, (machine, by_law) in zip(panels, found.items(), strict=True):
-        axes.axvline(1, color=figures.BLACK, lw=1, ls="--", label="computed torque")
-        for number, law in enumerate(LAWS[1:]):
-            places = np.arange(len(CASES)) + 0.22 * (number - 1)
-            pairs = [
-                compared({machine: by_law}, law, COMPUTED, (machine,), (case,), held=True) for case in CASES
-            ]
-            middle, ends = np.array([ratio for ratio, _ in pairs]), np.array([end for _, end in pairs])
-            axes.plot(middle, places, "o", ms=4, color=COLOURS[law], label=law)
-            axes.hlines(places, *ends.T, color=COLOURS[law], lw=1, label=f"{law}, 95 % interval")
-            for place, errors in zip(places, by_law[law], strict=True):
-                if lost := int((errors == 1.0).sum()):
-                    style = {"fontsize": 7, "color": COLOURS[law], "va": "center", "ha": "right"}
-                    style["bbox"] = {
-                        "facecolor": "white",
-                        "edgecolor": "none",
-                        "pad": 1,
-                    }  # no line through it
-                    axes.annotate(
-                        f"{lost} of {errors.size} diverge",
-                        (0.99, place),
-                        xycoords=("axes fraction", "data"),
-                        **style,
-                    )
-        axes.set(title=machine, xscale="log", xlim=(0.2, 30), ylim=(len(CASES) - 0.5, -0.5))
-        axes.set_xticks([0.25, 0.5, 1, 2, 4], ["1/4", "1/2", "1", "2", "4"])
-        axes.minorticks_off()
-        axes.set_yticks(range(len(CASES)), CASES)
-    panels[1].set_xlabel("error of q over computed torque's")
-    handles, labels = panels[0].get_legend_handles_labels()
-    shown = [k for k, label in enumerate(labels) if "interval" not in label]
-    figure.legend(
-        [handles[k] for k in shown], [labels[k] for k in shown], loc="outside upper center", ncols=4
-    )
+    """Who errs least and who diverges; below, error over computed torque's by case, a panel a machine, with 95 % intervals."""
+    figure, (above, below) = figures.new(2, 3, height=5.2, sharey="row", height_ratios=[1, 2.4])
+    for axes, share, title in zip(
+        above, (best_share, diverged_share), ("errs least", "diverges"), strict=False
+    ):
+        for number, law in enumerate(LAWS):
+            value, ends = share(found, law)
+            axes.barh(number, 100 * value, color=COLOURS[law], height=0.6, alpha=0.5, label=law)
+            axes.hlines(
+                number, *(100 * end for end in ends), color=COLOURS[law], label=f"{law}, 95 % interval"
+            )
+        axes.set(title=title, xlabel="share of all runs (%)", xlim=(0, 60), ylim=(len(LAWS) - 0.5, -0.5))
+        axes.set_yticks(range(len(LAWS)), LAWS)
+    above[2].axis("off")
+    for axes, (machine, by_law) in zip(below, found.items(), strict=True):
+        _paint_machine(axes, machine, by_law)
+    below[1].set_xlabel("error of q over computed torque's, where neither diverges")
+    handles, labels = below[0].get_legend_handles_labels()
+    shown = {label: handle for handle, label in zip(handles, labels, strict=True) if "interval" not in label}
+    above[2].legend(shown.values(), shown, loc="center")
     return figure
+
+
+def _paint_machine(axes, machine: str, by_law: dict[str, np.ndarray]) -> None:
+    axes.axvline(1, color=figures.BLACK, lw=1, ls="--", label="computed torque")
+    for number, law in enumerate(LAWS[1:]):
+        places = np.arange(len(CASES)) + 0.22 * (number - 1)
+        pairs = [compared({machine: by_law}, law, COMPUTED, (machine,), (case,), held=True) for case in CASES]
+        middle, ends = np.array([ratio for ratio, _ in pairs]), np.array([end for _, end in pairs])
+        axes.plot(middle, places, "o", ms=4, color=COLOURS[law], label=law)
+        axes.hlines(places, *ends.T, color=COLOURS[law], lw=1, label=f"{law}, 95 % interval")
+        for place, errors in zip(places, by_law[law], strict=True):
+            if lost := int((errors == 1.0).sum()):
+                style = {"fontsize": 7, "color": COLOURS[law], "va": "center", "backgroundcolor": "white"}
+                axes.text(5, place, f"{lost} of {errors.size} diverge", **style)
+    axes.set(title=machine, xscale="log", xlim=(0.2, 40), ylim=(len(CASES) - 0.5, -0.5))
+    axes.set_xticks([0.25, 0.5, 1, 2, 4], ["1/4", "1/2", "1", "2", "4"])
+    axes.minorticks_off()
+    axes.set_yticks(range(len(CASES)), CASES)
 
 
 @cache

@@ -501,7 +501,7 @@ KINDS = {
 FACTORED = ("square root", "UD", "inverse QR")
 SHIPPED = ", shipped floors"
 ROUNDED = (
-    *(f"{kind}{of}" for kind in KINDS for of in ("", ", range")),
+    *(f"{kind}, float{bits}{of}" for kind in KINDS for bits in (32, 64) for of in ("", ", range")),
     *(f"{kind}{SHIPPED}" for kind in tuple(KINDS)[::2]),
     "P lost definiteness",
 )
@@ -511,55 +511,66 @@ def paint_map(
     conditions: ArrayLike,
     found: Mapping[tuple[str, str], np.ndarray],
     shipped: Mapping[str, tuple[float, Mapping[str, CovarianceRun]]],
-    forgetting: float,
+    memories: tuple[float, float],
 ):
-    """Error of P in its own metric over the condition number, from least to largest of each kind of form.
+    """Error of P in its own metric over the condition number, as a part of the safe one, from least to largest of each kind of form.
 
-    `found` by precision and form is what `stability_map` gives with `forgetting`, `shipped` by floor a condition number
-    and the runs in float32 by form.
+    `found` by precision and form is what `stability_map` gives, `shipped` by floor a condition number and the runs in
+    float32 by form; `memories` are the time constants of both in samples.
     """
-    figure, grid = figures.new(1, 2, height=3.9, sharey=True)
-    colours = dict(zip(KINDS, (figures.RED, figures.SKY, figures.BLUE), strict=True))
-    for axes, precision in zip(grid, ("float32", "float64"), strict=True):
-        for (kind, forms), mark in zip(KINDS.items(), "soD", strict=True):
+    figure, axes = figures.new(height=3.9)
+    ours, theirs = (np.exp(-1 / memory) for memory in memories)
+    for (kind, forms), colour, mark in zip(
+        KINDS.items(), (figures.RED, figures.SKY, figures.BLUE), "soD", strict=True
+    ):
+        for precision, line in (("float32", "-"), ("float64", "--")):
+            at = np.asarray(conditions) / condition_bounds(ours, precision)[0]
             tables = np.array(
                 [found[precision, form] for form in forms]
             )  # forms, quantities, conditions, seeds
             distance, lost = tables[:, 0], np.isfinite(tables[:, 1]).any(axis=(0, 2))
             low, high = distance.min(axis=(0, 2)), distance.max(axis=(0, 2))
-            style = {"color": colours[kind], "label": kind}
-            axes.fill_between(
-                conditions, low, high, color=style["color"], alpha=0.3, lw=0, label=f"{kind}, range"
-            )
-            axes.plot(conditions, high, lw=1.2, **style)
+            name = f"{kind}, {precision}"
+            axes.fill_between(at, low, high, color=colour, alpha=0.3, lw=0, label=f"{name}, range")
+            axes.plot(at, high, line, lw=1.2, color=colour, label=name)
             if lost.any():
-                look = {"color": figures.BLACK, "ms": 9, "mew": 1.8, "label": "P lost definiteness"}
-                axes.plot(np.asarray(conditions)[lost], high[lost], "x", **look)
-            worst = [
-                (condition, max(runs[form].worst for form in forms if form in runs))
-                for condition, runs in shipped.values()
-                if precision == "float32" and any(form in runs for form in forms)
-            ]
-            if worst:
-                look = {"color": style["color"], "mec": figures.BLACK, "ms": 7, "zorder": 4}
-                axes.plot(*np.transpose(worst), mark, **look, label=kind + SHIPPED)
-        certain, mean = condition_bounds(forgetting, precision)
-        for bound, line, text in ((certain, ":", "κ safe"), (mean, "--", "κ safe in the mean")):
-            if bound < 3e9:
-                axes.axvline(bound, color=figures.BLACK, lw=0.8, ls=line, label=text)
-        axes.axhline(1.0, color=figures.GREY, lw=0.8)
-        axes.set(xscale="log", yscale="log", title=precision, ylim=(1e-13, 100), xlim=(3, 3e9))
-        axes.set(xlabel="condition number κ of the scaled regressors")
+                axes.plot(at[lost], high[lost], "kx", ms=9, mew=1.8, label="P lost definiteness")
+        worst = [
+            (
+                condition / condition_bounds(theirs, "float32")[0],
+                max(runs[form].worst for form in forms if form in runs),
+            )
+            for condition, runs in shipped.values()
+            if any(form in runs for form in forms)
+        ]
+        if worst:
+            axes.plot(
+                *np.transpose(worst),
+                mark,
+                color=colour,
+                mec=figures.BLACK,
+                ms=7,
+                zorder=4,
+                label=kind + SHIPPED,
+            )
+    axes.axvline(1, color=figures.BLACK, lw=0.8, ls=":")
+    means = [
+        mean / certain for certain, mean in (condition_bounds(each, "float32") for each in (ours, theirs))
+    ]
+    axes.axvspan(*means, color=figures.GREY, alpha=0.25, lw=0)
+    axes.axhline(1.0, color=figures.GREY, lw=0.8)
+    style = {"rotation": 90, "ha": "right", "va": "bottom", "fontsize": 8}
+    axes.text(0.8, 1e-13, "safe to here", **style)
+    axes.text(0.8 * means[0], 1e-13, "safe in the mean", **style)
     for name, (condition, _) in shipped.items():
-        short = name.split(",")[0]
-        style = {"rotation": 90, "ha": "center", "va": "bottom", "fontsize": 8, "color": figures.GREY}
-        grid[0].annotate(short, (condition, 1e-12), **style)
-    grid[1].annotate(f"safe up to {condition_bounds(forgetting, 'float64')[0]:.0e}", (1e4, 1e-3), fontsize=8)
-    grid[0].annotate("as large as P", (4, 1.5), fontsize=8, color=figures.GREY)
-    grid[0].set(ylabel="largest relative error of P")
-    named = zip(*grid[0].get_legend_handles_labels(), strict=True)
-    shown = [each for each in named if not each[1].endswith("range")]
-    figure.legend(*zip(*shown, strict=True), loc="outside lower center", ncols=3)
+        at = condition / condition_bounds(theirs, "float32")[0]
+        axes.text(at, 5, name.split(",")[0], ha="center", fontsize=8, color=figures.GREY)
+    axes.text(1e-11, 2, "as large as P", fontsize=8, color=figures.GREY)
+    axes.set(xscale="log", yscale="log", ylim=(1e-13, 100), ylabel="largest relative error of P")
+    axes.set_xlabel("condition number κ of the scaled regressors, over the safe one")
+    named = dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
+    shown = [name for name in named if not name.endswith("range")]
+    figure.legend([named[name] for name in shown], shown, loc="outside lower center", ncols=2)
     return figure
 
 

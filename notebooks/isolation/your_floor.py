@@ -262,10 +262,15 @@ def paint_gain(gains: np.ndarray, left: dict[str, np.ndarray]):
     for name, values in left.items():
         width = 3.5 if name == "feedback" else 1.5  # FeRLS lies on it where noise dominates
         axes.loglog(gains, values, color=COLOURS[name], lw=width, label=name)
-    axes.axhline(1, color=figures.GREY, lw=0.8, label="as much as the floor")
-    axes.axvline(1, color=figures.GREY, lw=0.8, ls="--", label="this floor")
+    places = {"passive": (0, "bottom"), "feedback": (-3, "top"), "FeRLS": (-3, "bottom")}
+    words = {"passive": "passive", "feedback": "feedback alone", "FeRLS": "  feedback and FeRLS"}
+    for name, (place, side) in places.items():
+        at = gains[place], left[name][place] * (0.7 if side == "top" else 1.2)
+        axes.text(*at, words[name], color=COLOURS[name], va=side)
+    axes.axhline(1, color=figures.GREY, lw=0.8)
+    axes.axvline(1, color=figures.GREY, lw=0.8, ls="--")
+    axes.text(1.1, left["feedback"][0], "this floor", color=figures.GREY, va="top")
     axes.set(xlabel="amplitude over this floor's", ylabel="platform over feet, rms")
-    axes.legend()
     return figure
 
 

@@ -71,8 +71,8 @@ def paint_noise(errors: pd.DataFrame, size: float):
 
 
 def paint_leads(errors: pd.DataFrame, over: str):
-    """Leads of the robust observers over this Kalman filter, in bold where sure and the error below 0.9."""
-    figure, axes = figures.new(1, len(ROBUST), height=2.9, sharex=True, sharey=True)
+    """Leads of the robust observers over this Kalman filter, framed where sure and the error below 0.9."""
+    figure, axes = figures.new(1, len(ROBUST), height=3.2, sharex=True, sharey=True)
     found = leads(errors, over)
     for axis, name in zip(axes, ROBUST, strict=True):
         own = found[found["entrant"] == name].pivot(index="size", columns="noise")
@@ -80,17 +80,19 @@ def paint_leads(errors: pd.DataFrame, over: str):
         columns, rows = np.arange(lead.shape[1]), np.arange(lead.shape[0])
         mesh = axis.pcolormesh(columns, rows, lead.to_numpy(), cmap="coolwarm_r", vmin=-0.25, vmax=0.25)
         for (row, column), value in np.ndenumerate(lead.to_numpy()):
-            style = {"weight": "bold"} if sure.to_numpy()[row, column] else {}
-            style["color"] = "white" if value > 0.2 else figures.BLACK
-            text = (
-                f"{value:.2f}" if abs(value) >= 0.01 else f"{round(value, 3) + 0.0:.3f}"
-            )  # no sure lead of 0.00
-            axis.text(column, row, text, ha="center", va="center", fontsize=6, **style)
+            ink = "white" if value > 0.2 else figures.BLACK
+            # no sure lead of 0.00
+            text = f"{value:.2f}" if abs(value) >= 0.01 else f"{round(value, 3) + 0.0:.3f}"
+            axis.text(column, row, text, ha="center", va="center", fontsize=6, color=ink)
+        framed = np.nonzero(sure.to_numpy())[::-1]
+        look = {"ms": 22, "mfc": "none", "mec": figures.BLACK, "mew": 1.5}
+        axis.plot(*framed, "s", **look, label="surely ahead (95 %), and clearly better than estimating zero")
         axis.set_xticks(columns, [f"{noise:g}" for noise in lead.columns])
         axis.set_yticks(rows, [f"{100 * size:g}" for size in lead.index])
         axis.set_title(f"{name} over {'tuned ' * (over != 'Kalman')}Kalman", fontsize=8)
     figures.label(axes, "sensor noise over the thesis's", "size of the errors (%)")
     figure.colorbar(mesh, ax=axes, label="error saved (that of zero: 1)", extend="max")
+    figures.legend_below(axes[0], 1, markerscale=0.5)
     return figure
 
 

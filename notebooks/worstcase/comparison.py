@@ -418,29 +418,45 @@ def statements_at(*, map_taps: int, map_memory: int, seed: int, lean: bool) -> d
 LEVELS = (1.0, 1.1, 1.5, 2.0, 4.0, 8.0, 100.0)  # of the map's colours
 
 
+def paint_min_max(names: list[str], errors: np.ndarray):
+    """Min-max's error over that of the best in every cell, a row a setting, a column an excitation; framed: equal, dots: open."""
+    number = list(METHODS).index("min_max")
+    values, equal, worse = (of(errors)[..., number] for of in (over_best, equal_to_best, worse_than_best))
+    return _paint_cells(
+        names, EXCITATIONS, values, {"equal to the best": ("s", equal), "open": (".", ~(equal | worse))}
+    )
+
+
 def paint_map(names: list[str], errors: np.ndarray):
     """Largest error over that of the best, of the excitations, a row a setting; framed: the smallest of a row."""
+    largest = over_best(errors).max(axis=1)
+    smallest = largest == largest.min(axis=1, keepdims=True)
+    return _paint_cells(names, METHODS.values(), largest, {"smallest of the row": ("s", smallest)})
+
+
+def _paint_cells(names, columns, values: np.ndarray, marks: dict):
     from matplotlib.colors import BoundaryNorm
 
-    figure, axes = figures.new(height=0.33 * len(names) + 2.4)
-    largest = over_best(errors).max(axis=1)
-    columns, rows = np.arange(len(METHODS)), np.arange(len(names))
+    few = len(columns) < 8
+    figure, axes = figures.new(height=0.25 * len(names) + 1.2 if few else 0.33 * len(names) + 2.6)
     norm = BoundaryNorm(LEVELS, 256)
-    axes.pcolormesh(columns, rows, largest, cmap="Reds", norm=norm, shading="nearest", alpha=0.75)
-    for row, column in np.ndindex(*largest.shape):
-        value = largest[row, column]
+    at = np.arange(len(columns)), np.arange(len(names))
+    axes.pcolormesh(*at, values, cmap="Reds", norm=norm, shading="nearest", alpha=0.75)
+    for (row, column), value in np.ndenumerate(values):
         word = f"{value:.2f}" if value < 1.995 else f"{value:.1f}" if value < 9.95 else f"{value:.0f}"
         ink = "white" if value >= LEVELS[-2] else "black"
         axes.text(column, row, word, ha="center", va="center", fontsize=6.5, color=ink)
-    best = largest.argmin(axis=1)
-    axes.plot(best, rows, "s", ms=18, mfc="none", mec=figures.BLUE, mew=1.5, label="smallest of the row")
-    axes.set_xticks(columns, METHODS.values(), rotation=90)
-    axes.set_yticks(rows, names)
-    axes.set_ylim(len(names) - 0.5, -0.5)
+    for label, (mark, where) in marks.items():
+        rows, places = np.nonzero(where)
+        look = {"ms": 18, "mfc": "none"} if mark == "s" else {"ms": 6}
+        axes.plot(places + 0.25 * (mark == "."), rows, mark, mec=figures.BLUE, mew=1.5, label=label, **look)
+    axes.set_xticks(at[0], columns, rotation=0 if few else 90)
+    axes.set_yticks(at[1], names)
+    axes.set(ylim=(len(names) - 0.5, -0.5), xlabel="excitation" if few else "method")
     axes.grid(visible=False)
     # Beside few rows there is no height for the whole label.
     axes.set_ylabel("what is wrong (noise: input, output)" if len(names) > 8 else "what is wrong")
-    axes.set_title("error over that of the best; a square: the worst of four cells, one an excitation")
+    figure.legend(loc="outside upper center", ncols=len(marks), markerscale=0.5)
     return figure
 
 
@@ -531,9 +547,11 @@ def appendix(
     errors, methods = found["errors"], list(METHODS)
     page.text(OTHER_METHODS)
     _of_criterion(page, found, said)
-    page.text("""## The map
+    page.text("""## All methods
 
-How often a method is proved equal to the best of its cell, and its largest error over the best.""")
+Error over that of the best in the worst of a row's four cells, one an excitation; then how often a method is proved equal to the
+best of its cell, and its largest error over the best.""")
+    page.save("methods", paint_map(list(SETTINGS), errors))
     behind, equal = over_best(errors), equal_to_best(errors)
     for number, name in enumerate(METHODS.values()):
         share, most = equal[..., number].mean(), behind[..., number].max()
