@@ -25,12 +25,14 @@ class Redraw:
 
     def __init__(self, draw: Callable):
         self._draw = draw
-        self._renderer = None
+        self._renderer = self._engine = None
         self._places = {}  # of the panels, by how many there are
 
     def __call__(self, **settings) -> bytes:
         """The picture for ``draw(**settings)``, as PNG."""
         figure = self._figure(settings)
+        if isinstance(engine := figure.get_layout_engine(), ConstrainedLayoutEngine):
+            self._engine = engine  # a figure that is kept has lost it
         if places := self._places.get(len(figure.axes)):
             figure.set_layout_engine("none")
             for axes, place in zip(figure.axes, places, strict=True):
@@ -38,7 +40,9 @@ class Redraw:
             self._render(figure)
             if self._complete(figure):
                 return self._png()
-            figure = self._figure(settings)  # a panel that was put in its place takes no part in a layout
+            figure.set_layout_engine(self._engine)
+            for axes in figure.axes:
+                axes.set_in_layout(True)  # a panel that was put in its place takes no part in a layout
         return self._laid_out(figure)
 
     def _laid_out(self, figure) -> bytes:

@@ -526,11 +526,12 @@ def _paint_machine(axes, machine: str, by_law: dict[str, np.ndarray]) -> None:
 def _explorer_figure(machine: str):
     """Figure of a machine in the explorer, kept for its next move: only its data change."""
     device = MACHINES[machine]
-    figure, panels = figures.new(device.axes, 1, height=1.4 + 1.5 * device.axes, sharex=True, squeeze=False)
+    figure, panels = figures.new(device.axes, 1, height=1.4 + 1.2 * device.axes, sharex=True, squeeze=False)
     for number, axes in enumerate(panels[:, 0]):
         for law in LAWS:
             axes.plot([], [], color=COLOURS[law], lw=0.9, label=law)
         axes.set(ylabel=f"error, axis {number + 1} (m{device.unit})")
+        axes.locator_params(axis="y", nbins=3)  # fewer texts, quicker moves
     panels[-1, 0].set(xlabel="time (s)")
     figure.legend(handles=panels[0, 0].lines, loc="outside upper center", ncols=len(LAWS))
     return figure

@@ -111,12 +111,12 @@ def paint_filter_responses(filters: dict[str, LinearFilter], sample_time: float,
     frequency = np.geomspace(0.5, 499, 90)
     for name, device in filters.items():
         response = device.response(2 * np.pi * frequency, sample_time)
-        line = "--" if name == LITERAL else "-"  # in places it covers its neighbour
+        line = {"ls": "--" if name == LITERAL else "-", "lw": 2.5 if name == LOW_PASS else 0.8}
         for column in range(3):
             ratio = response[:, column] / (2j * np.pi * frequency) ** column
-            panels[0, column].loglog(frequency, np.abs(ratio), line, color=COLOURS[name], label=name)
+            panels[0, column].loglog(frequency, np.abs(ratio), color=COLOURS[name], label=name, **line)
             angle = np.degrees(np.unwrap(np.angle(ratio)))
-            panels[1, column].semilogx(frequency, angle, line, color=COLOURS[name], label=name)
+            panels[1, column].semilogx(frequency, angle, color=COLOURS[name], label=name, **line)
     ideal = continuous(2j * np.pi * frequency)  # the same for every derivative
     for column in range(3):
         style = {"color": figures.BLACK, "label": "(7), continuous"}

@@ -356,7 +356,7 @@ feedthrough (Fig. 3.17). Here it is constant without feedthrough, too; the noise
         "feedthrough and noise model": compensator(kalman_observer(speed, published, noise_model), PLAIN),
     }
     gains = {name: (low, block.frequency_response(low)[1, 0]) for name, block in velocity.items()}
-    dashed = {"feedthrough": {"linestyle": "--"}}  # it coincides with the line without
+    dashed = {"no feedthrough": {"linewidth": 4.0}, "feedthrough": {"linestyle": "--"}}  # they coincide
     label = "$u$ to $\\dot y_{flex}$ (dB re 1 m/(s N))"
     page.save("fig-3-17", paint_bode(gains, label, styles=dashed, xlim=(1e-4, 1e4))[0])
     static, gain = (each["no feedthrough"] for each in (velocity, gains))

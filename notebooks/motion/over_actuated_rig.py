@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 from jaxtyping import Bool, Float64
-from matplotlib.lines import Line2D
 from numpy.typing import ArrayLike
 from scipy import linalg, signal
 from scipy.optimize import linear_sum_assignment
@@ -162,9 +161,9 @@ def paint_decoupled_plants(loops: Sequence[RigLoop]):
     for number, loop in enumerate(loops, 1):
         plant = physical_plant(loop)
         for place in np.ndindex(3, 3):
-            # Dashes in turn: where positions coincide, as on a symmetric plate, a line has the colours of all.
-            style = {"linestyle": (2 * number, (2, 6)), "dash_capstyle": "butt", "linewidth": 1.5}
-            add_magnitude(axes[place], loop.omega, plant[place], label=f"position {number}", **style)
+            # Thinner in turn: positions coincide in places, as on a symmetric plate.
+            style = {"linewidth": (3.6, 2.4, 1.4, 0.6)[number - 1], "label": f"position {number}"}
+            add_magnitude(axes[place], loop.omega, plant[place], **style)
     printed_hz = published()["frequencies_hz"]
     for i, j in np.ndindex(3, 3):
         low = {"transform": axes[i, j].get_xaxis_transform(), "markersize": 3}
@@ -178,8 +177,7 @@ def paint_decoupled_plants(loops: Sequence[RigLoop]):
     figure.set_layout_engine(None)
     figure.subplots_adjust(left=0.09, right=0.99, bottom=0.12, top=0.96, wspace=0.4, hspace=0.28)
     handles, labels = axes[0, 0].get_legend_handles_labels()
-    solid = [Line2D([], [], color=each.get_color(), linewidth=1.5) for each in handles[:-1]]
-    figure.legend([*solid, handles[-1]], labels, loc="lower center", ncols=5, fontsize=7)
+    figure.legend(handles, labels, loc="lower center", ncols=5, fontsize=7)
     return figure
 
 

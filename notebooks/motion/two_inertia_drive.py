@@ -230,7 +230,9 @@ def paint_identified(
         axes[1].semilogx(omega / (2 * np.pi), each.coherence[shown], label=name, **style)
     add_magnitude(axes[0], omega, rigid_response(plant, omega), label="rigid body", color=figures.GREY)
     axes[0].set_ylabel("magnitude (dB re 1 rad/A)")
-    axes[0].legend(ncols=3, fontsize=7)
+    *solid, last = axes[0].lines[::2]
+    handles, words = [*solid, axes[0].lines[1], last], [*found, "dotted: exact", "rigid body"]
+    axes[0].legend(handles, words, ncols=2, fontsize=7)
     axes[1].set(ylabel="coherence", xlabel="frequency (Hz)")
     plain_numbers(axes[1].xaxis)
     return figure

@@ -151,7 +151,7 @@ def paint_bounds(matrix: np.ndarray, target: np.ndarray, consistent: np.ndarray)
         alpha = np.geomspace(1e-4, 1e4, 321) * function.eigenvalues[-1]
         axes.semilogx(alpha, alpha / function(alpha), label="η(α) = α |x| / |Ax − b|")
         axes.axhline(function.threshold, color=figures.BLACK, linestyle="--", linewidth=0.9)
-        axes.text(alpha[0], function.threshold, " τ: zero from here on", va="bottom", fontsize=8)
+        axes.text(alpha[0], 1.01 * function.threshold, " τ: zero from here on", va="bottom", fontsize=8)
         if function.excess == 0:
             axes.axhline(function.free_bound, color=figures.GREEN, linestyle="--", linewidth=0.9)
             # Below its line, since the curve passes above it.

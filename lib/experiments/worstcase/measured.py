@@ -112,6 +112,6 @@ def paint_windows(lengths: list[float], found: dict[str, list[np.ndarray]]):
     axes.set(xlabel="training window (samples)", ylabel="rms residual / rms output", ylim=(0.4, 1.6))
     axes.set_xticks(places, [f"{length:g}" for length in lengths])
     if above:
-        axes.text(0.01, 0.97, "\n".join(above), transform=axes.transAxes, va="top", fontsize=7)
+        axes.text(0, 1.02, "\n".join(above), transform=axes.transAxes, va="bottom", fontsize=7)
     axes.legend(ncols=2, loc="upper right")
     return figure
