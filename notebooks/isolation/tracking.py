@@ -15,7 +15,7 @@ from experiments.isolation.shared_runs import study_each
 from experiments.isolation.simulation import TOGETHER, sample_seeds, simulate_together
 from experiments.isolation.steady import steady_state
 from experiments.isolation.twin import Twin, load_twin
-from stillwork.base.checks import require_choice
+from stillwork.base.checks import InputError, require_choice
 from stillwork.estimation.adaptive import FeLms, FeRls
 from stillwork.estimation.mean_adaptation import Steady
 from workbook import figures, paths
@@ -301,6 +301,16 @@ class Switched:
         """FeLMS over FeRLS settling time; NaN where neither has settled."""
         with np.errstate(invalid="ignore"):
             return self.study[f"FeLMS {group}"] / self.study[f"FeRLS {group}"]
+
+    def median_gain(self) -> float:
+        """Of all weights; raises `InputError` where too few runs have settled for it."""
+        with np.errstate(invalid="ignore"):
+            gain = float(np.median(self.gain()))
+        if not np.isfinite(gain):
+            raise InputError(
+                "half of the runs have not settled: lower platform_noise, which hides the change, or raise duration_s"
+            )
+        return gain
 
     def felms_first(self, group: str = "all") -> np.ndarray:
         """Runs in which FeLMS has settled, and no later than FeRLS."""
