@@ -232,6 +232,25 @@ def show_behind(figure, lines: list[list]) -> list:
 _behind: list = []
 
 
+def _over_the_start(draw: Callable, start: dict) -> Callable:
+    """The picture of a setting, before the lines of the start in grey."""
+    from workbook.redraw import Redraw
+
+    ghost: list[list] = []
+
+    def drawn(**settings):
+        while _behind:
+            _behind.pop().remove()
+        figure = draw(**settings)
+        if settings == start:
+            ghost[:] = lines_of(figure)
+        else:
+            _behind.extend(show_behind(figure, ghost))
+        return figure
+
+    return Redraw(drawn)
+
+
 def explore(draw: Callable, presets: Mapping[str, Mapping] | None = None, **controls: Slider | Choice):
     """Redraw ``draw(**settings)`` while a control moves, before the lines of the start in grey; Reset returns to it.
 
@@ -251,21 +270,7 @@ def explore(draw: Callable, presets: Mapping[str, Mapping] | None = None, **cont
     """
     start = {name: control.start for name, control in controls.items()}
     designs = whole_settings(presets or {}, controls)
-    ghost: list[list] = []
-
-    def drawn(**settings):
-        while _behind:
-            _behind.pop().remove()
-        figure = draw(**settings)
-        if settings == start:
-            ghost[:] = lines_of(figure)
-        else:
-            _behind.extend(show_behind(figure, ghost))
-        return figure
-
-    from workbook.redraw import Redraw
-
-    picture_of = Redraw(drawn)
+    picture_of = _over_the_start(draw, start)
     if in_batch():
         return StaticPicture(picture_of(**start), ", ".join(f"{k} = {v}" for k, v in start.items()))
 

@@ -50,22 +50,6 @@ def rms(lines):
     return float(re.search(r"rms ([\d.e+]+) nm", lines[0])[1])
 
 
-@pytest.mark.parametrize("name", MACHINES)
-def test_a_template_gives_a_page_that_says_what_limits(name, files, tmp_path):
-    found = budget.budget_file(str(files[name]), out=str(tmp_path / "out"), verbose=True)
-    answer, lines = found[:3], found[3:]
-    assert [line.split(":")[0] for line in lines[:3]] == [
-        "what it is",
-        "where it comes from",
-        "what to buy next",
-    ]
-    assert any("isolator drive: no source given" in line and "typical" in line for line in lines)
-    assert "What to buy next" in (tmp_path / "out" / f"{name}.budget.html").read_text()
-    assert f"rms {rms(lines):g} nm" in answer[0] and answer[2].endswith(f"{name}.budget.html")
-    first = re.search(r"what to buy next: 1\. (.+?)(;|$)", "\n".join(lines))[1]
-    assert f"to buy next: {first}" in answer[1] and answer[1].split(" (")[0][17:] in lines[1].split(";")[0]
-
-
 TEXTS = {  # of a number in the template of the wafer-like stage
     "suspension frequency": "suspension_hz = 4.0",
     "passive damping": "suspension_damping = 0.05",
@@ -235,25 +219,6 @@ def test_a_design_takes_the_place_of_stage_and_controller(files, tmp_path):
 def test_bad_files_are_refused_by_name(old, fresh, message, files, tmp_path):
     with pytest.raises(InputError, match=message):
         findings(change(files["wafer-stage"], (old, fresh)), out=str(tmp_path / "out"))
-
-
-def test_the_command_line_begins_templates_and_refuses_to_overwrite(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    assert main(["new", "wafer-stage.toml"]) == 0
-    for wrong, said in (
-        (["wafer-stage.toml"], "exists"),
-        (["budget"], "ends in .toml"),
-        (["a.toml", "--like", "x"], "like"),
-    ):
-        assert main(["new", *wrong]) == 2 and said in capsys.readouterr().err
-    assert main(["budget", "wafer-stage.toml"]) == 0
-    assert "; to buy next: " in capsys.readouterr().out
-    assert "<img" in (tmp_path / "wafer-stage.budget.html").read_text()
-    assert main(["budget", "wafer-stage.toml"]) == 2
-    assert "exists; move it away" in capsys.readouterr().err
-    (tmp_path / "own.toml").write_text("[stage]\nmass = 1.0\n")
-    assert main(["budget", "own.toml"]) == 2  # names of the file, not options of the command
-    assert "known: name, band_hz, exposure_s" in capsys.readouterr().err
 
 
 def add(file, *lines):
@@ -464,15 +429,6 @@ def test_inspect_lists_each_command_that_a_machines_file_has_the_tables_of(tmp_p
     assert "not usable for an error budget: m.toml: machine: unknown name 'suspension_hertz'" in inspect_file(
         str(tmp_path / "m.toml")
     )
-
-
-def test_a_name_of_a_table_that_stands_above_all_tables_is_sent_into_it(tmp_path):
-    new_machine(str(tmp_path / "m.toml"))
-    (tmp_path / "m.toml").write_text('response = "h.npz"\n' + (tmp_path / "m.toml").read_text())
-    with pytest.raises(
-        InputError, match=r"'response' stands above all tables; move it into \[isolator\] or \[decoupling\]"
-    ):
-        open_machine(str(tmp_path / "m.toml"))
 
 
 def test_two_machines_in_one_file_are_refused(tmp_path):

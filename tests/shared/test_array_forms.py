@@ -28,11 +28,11 @@ def test_an_array_s_form_changes_neither_the_result_nor_the_array():
 
 def compare_forms() -> tuple[int, list[str]]:
     """Every good call with each of its arrays in every form: how many calls, and what differs."""
-    from calls import REFUSED, catalogue
+    from calls import CATALOGUE, REFUSED
 
     count, found = 0, []
     with tempfile.TemporaryDirectory() as folder:
-        for name, (function, good) in catalogue().items():
+        for name, (function, good) in CATALOGUE.items():
             for key, value in good.items():
                 for number in NUMBERS if isinstance(function, type) and type(value) in (int, float) else ():
                     with np.errstate(all="ignore"):

@@ -316,15 +316,3 @@ def test_a_page_shows_ten_claims_headlines_first_then_of_each_table_in_turn(draw
         assert max(ranks[:10]) <= min(ranks[10:])
         assert f"{len(rest)} more: on the page of the site (`make site`)." in repr(table)
     assert repr(table.rest).count("motion.") == len(rest)
-
-
-def test_a_page_shows_the_first_of_every_table():
-    table = ClaimsTable()
-    for group, count in {"table-1": 20, "fig-2": 3, "fig-3": 1}.items():
-        for number in range(count):
-            table.add(Claim(entry(id=f"motion.{group}.{number}"), 2.0))
-    assert [claim.entry.id.split(".", 1)[1] for claim in table.shown] == [
-        *(f"table-1.{number}" for number in range(6)),
-        *(f"fig-2.{number}" for number in range(3)),
-        "fig-3.0",
-    ]

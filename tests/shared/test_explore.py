@@ -78,32 +78,6 @@ def test_a_preset_leads_all_controls_to_a_named_design_with_one_picture():
     assert seen[before + 1 :] == [{name: control.start for name, control in CONTROLS.items()}]
 
 
-@pytest.mark.slow
-def test_the_lines_of_the_start_stand_behind_and_leave_the_axes_alone():
-    seen = []
-
-    def panels(gain, shown):
-        figure, axes = figures.new(1, 1 + shown, squeeze=False)
-        for axis in axes[0]:
-            axis.plot([0, 1, 2], gain * np.arange(3))
-            axis.axhline(50.0)
-        seen.append(figure)
-        return figure
-
-    box = explore(panels, gain=Slider(1.0, 9.0, start=2.0), shown=Slider(0, 1, start=0))
-    gain, shown = (row.children[0] for row in box.children[:2])
-    assert gain.continuous_update
-    assert [len(axis.lines) for axis in seen[-1].axes] == [2]
-    gain.value = 3.0
-    [axes] = seen[-1].axes
-    alone = panels(3.0, 0).axes[0]
-    assert axes.lines[-1].get_xydata().tolist() == [[0, 0], [1, 2], [2, 4]]
-    assert axes.lines[-1].get_zorder() < axes.lines[0].get_zorder()
-    assert axes.get_ylim() == alone.get_ylim() and axes.get_xlim() == alone.get_xlim()
-    shown.value = 1  # another number of panels: no place for those of the start
-    assert [len(axis.lines) for axis in seen[-1].axes] == [2, 2]
-
-
 def test_an_impossible_setting_says_why_and_keeps_the_last_picture():
     controls, _, message, picture = parts(explore(draw, **CONTROLS))
     before = picture.value

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from jaxtyping import Float64
 
-from calls import catalogue
+from calls import CATALOGUE
 from stillwork.base import validation
 from stillwork.base.bounds import Fraction, Positive, Vector, at_least
 from stillwork.base.checks import InputError
@@ -122,7 +122,7 @@ def test_a_result_out_of_range_names_the_argument_farthest_from_1():
 @pytest.fixture(scope="module")
 def models():
     """Instances of the toolbox's frozen dataclasses out of the good calls."""
-    calls = catalogue().values()
+    calls = CATALOGUE.values()
     values = [value for _, good in calls for value in good.values()]
     made = [make(**good) for make, good in calls if inspect.isclass(make) and is_dataclass(make)]
     made = [each for each in values + made if is_dataclass(each) and each.__dataclass_params__.frozen]

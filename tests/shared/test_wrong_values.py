@@ -59,12 +59,12 @@ def spoiled(value, how: int):
 
 
 def try_wrong_values() -> None:
-    from calls import catalogue, missing
+    from calls import CATALOGUE, missing
     from stillwork.base.checks import InputError
     from stillwork.estimation.online import UnstableAdaptation
 
     assert not missing(), missing()
-    calls = {name: call for name, call in catalogue().items() if call[1]}
+    calls = {name: call for name, call in CATALOGUE.items() if call[1]}
 
     @settings(
         max_examples=1000,

@@ -14,8 +14,6 @@ from workbook.checks import InputError
 from workbook.notebooks import read_notebook
 from workbook.site.scaffold import new_result
 
-SLAB = paths.data("isolation", "slab_footfall/slab_vertical.csv")
-
 
 @pytest.fixture
 def toy(toy, monkeypatch):
@@ -43,15 +41,6 @@ def meant(words):
     return words[4], {
         name: text if text == "UNIT" else parameters[name].read(text) for name, text in texts.items()
     }
-
-
-@pytest.mark.slow
-def test_a_record_gets_the_command_that_uses_it():
-    report = inspect_file(str(SLAB))
-    assert "a record of 1 channel: 425.077 Hz, 30 s" in report
-    wanted = f"isolation/08-your-floor -p {shlex.quote(f'floor_record={SLAB}')} -p 'floor_unit=m/s^2'"
-    assert f"for isolation/08-your-floor: python -m stillwork figures {wanted}" in report
-    assert commands(report) == {"isolation/08-your-floor": {"floor_record": str(SLAB), "floor_unit": "m/s^2"}}
 
 
 def hostile_names():
@@ -122,21 +111,6 @@ def test_no_name_in_a_file_becomes_a_command(tmp_path, shell):
                 *["no command for worstcase/07-your-record"][: not unknown],
                 "no command for fixedpoint/09-your-plant",
             ]
-
-
-def test_an_input_output_record_in_volts_is_for_the_topic_that_takes_it():
-    file = paths.data("worstcase", "your_record/template.csv")
-    assert commands(inspect_file(str(file))) == {
-        "worstcase/07-your-record": {
-            "record_file": str(file),
-            "input_channel": "drive (V)",
-            "input_unit": "V",
-            "output_channel": "plate (m/s^2)",
-            "output_unit": "m/s^2",
-            "band_hz": (0.0, 0.0),
-            "quiet_hz": (0.0, 0.0),
-        }
-    }
 
 
 MEASURED = {"response_unit": "m/s^2", "force_unit": "N", "fit_hz": (0.0, 0.0), "loop_hz": (0.0, 0.0)}

@@ -1,6 +1,5 @@
 """The site's files, checked without a browser: links, escaping, places, completeness."""
 
-import html
 import io
 import json
 import re
@@ -13,9 +12,7 @@ import pytest
 from PIL import Image
 
 from workbook import paths
-from workbook.choices.axes import load_axes
 from workbook.choices.command import judged_ledger
-from workbook.choices.kept import read_settings
 from workbook.claims import ledger
 from workbook.notebooks import select
 from workbook.publish import replace_folder
@@ -170,30 +167,6 @@ def test_advice_rests_on_verdicts_that_stand():
         assert paper["builder"][-1:] in (".", "")
         for entry, stated in paper["rests"].items():
             assert stated == verdicts[entry]
-
-
-def test_a_topic_has_a_page_of_what_its_paper_must_have_used(files):
-    """Every option of every choice that tells numbers apart, and each number of its windows with its ends."""
-    text, joint = files["settings/motion.html"].decode(), read_settings("motion")
-    assert f"{joint.agree} of {joint.numbers} printed numbers" in text.replace("\n", " ").replace("  ", " ")
-    telling = {s.axis for s in joint.settings if s.supports or s.contradicts or s.agree < joint.agree}
-    rows = re.findall(r"<tr><td>([^ <]*)(?: <small>.*?</small>)?</td><td>(.*?)</td>", text)
-    axes, _ = load_axes("motion")
-    ours = {axis: axes[axis].texts[axes[axis].default_index] for axis in telling}
-    listed = [each.axis for each in joint.settings if each.axis in telling]
-    assert [axis for axis, _ in rows] == sorted(listed, key=lambda axis: joint.best[axis] == ours[axis])
-    best = {
-        axis: re.search("<strong>(.*?)</strong>", option)[1] for axis, option in rows if "<strong>" in option
-    }
-    assert {axis: html.unescape(option) for axis, option in best.items()} == {
-        axis: option for axis, option in joint.best.items() if axis in telling
-    }
-    for each in joint.windows:
-        for low, high in each.pieces:
-            assert f"{low:.12g} to {high:.12g}" in text
-    for axis in telling:
-        assert f"{axis} <small>{axes[axis].question}</small>" in html.unescape(text)
-    assert 'src="../figures/motion/09-bandwidth-table/limits.png"' in text
 
 
 def test_the_search_index_leads_to_places_that_are_there(files):

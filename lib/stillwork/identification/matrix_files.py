@@ -140,19 +140,14 @@ def load_matrix(file: str | Path, response_unit: str = "", force_unit: str = "")
     columns = {
         name: np.ravel(each) for name, each in arrays.items() if each.size == hertz.size and name != axis
     }
-    entries: dict[tuple[str, str], dict[str, np.ndarray]] = {}
     columns |= complex_responses(arrays)
     try:
-        placed = places(columns)
-    except InputError as error:
-        raise InputError(f"{file.name}: {error}") from None
-    for name, place in placed.items():
-        if columns[name].dtype.kind == "c" or heading(name).quantity in PARTS:
-            entries.setdefault(place, {})[name] = columns[name]
-    if len(entries) < 2:
-        return None
-    outputs, inputs = (tuple(dict.fromkeys(ends)) for ends in zip(*entries, strict=True))  # as in the file
-    try:
+        entries = _entries(columns)
+        if len(entries) < 2:
+            return None
+        outputs, inputs = (
+            tuple(dict.fromkeys(ends)) for ends in zip(*entries, strict=True)
+        )  # as in the file
         if len(entries) != len(outputs) * len(inputs):
             raise InputError(
                 f"it holds {len(entries)} responses of outputs {', '.join(outputs)} to inputs {', '.join(inputs)}, "
@@ -164,16 +159,7 @@ def load_matrix(file: str | Path, response_unit: str = "", force_unit: str = "")
         agreed = agreed_units(
             {name: arrays[name] for name in arrays if name in held}, response_unit, force_unit
         )
-        shape = (hertz.size, len(outputs), len(inputs))
-        seen, coherent = np.empty(shape, complex), np.full(shape, np.nan)
-        for (output, into), columns in entries.items():
-            place = outputs.index(output), inputs.index(into)
-            parts = {name: each for name, each in columns.items() if heading(name).quantity != "coherence"}
-            values, taken = one_response(parts, parts, "", {})
-            require_motion(taken)
-            seen[:, *place] = require_array(f"response {output}/{into}", values, dtype=complex)
-            for name in columns.keys() - parts.keys():
-                coherent[:, *place] = column_unit(name, "coherence")[0].factor * columns[name].real
+        seen, coherent = _filled(entries, hertz.size, outputs, inputs)
         if np.any(np.diff(hertz) <= 0):
             raise InputError("the frequency does not rise from line to line; sort the rows")
         kept = (hertz > 0) & np.any(np.abs(seen) > 0, axis=(1, 2))
@@ -193,3 +179,29 @@ def load_matrix(file: str | Path, response_unit: str = "", force_unit: str = "")
         *(file.name, hertz, accelerance, coherent[kept], outputs, inputs, agreed.units, agreed.note),
         example,
     )
+
+
+def _entries(columns: dict[str, np.ndarray]) -> dict[tuple[str, str], dict[str, np.ndarray]]:
+    """By output and input the columns that belong to one response."""
+    entries: dict[tuple[str, str], dict[str, np.ndarray]] = {}
+    for name, place in places(columns).items():
+        if columns[name].dtype.kind == "c" or heading(name).quantity in PARTS:
+            entries.setdefault(place, {})[name] = columns[name]
+    return entries
+
+
+def _filled(
+    entries: dict[tuple[str, str], dict[str, np.ndarray]], lines: int, outputs: tuple, inputs: tuple
+) -> tuple[np.ndarray, np.ndarray]:
+    """The responses of a matrix, (lines, outputs, inputs), and their coherences; NaN where there is none."""
+    shape = (lines, len(outputs), len(inputs))
+    seen, coherent = np.empty(shape, complex), np.full(shape, np.nan)
+    for (output, into), columns in entries.items():
+        place = outputs.index(output), inputs.index(into)
+        parts = {name: each for name, each in columns.items() if heading(name).quantity != "coherence"}
+        values, taken = one_response(parts, parts, "", {})
+        require_motion(taken)
+        seen[:, *place] = require_array(f"response {output}/{into}", values, dtype=complex)
+        for name in columns.keys() - parts.keys():
+            coherent[:, *place] = column_unit(name, "coherence")[0].factor * columns[name].real
+    return seen, coherent

@@ -545,6 +545,23 @@ class _Accelerance:
         first = np.append(np.exp(modes[0]), np.inf)
         return bool(abs(gains[0]) < GROUNDED * abs(gains[FIXED]) and SUSPENDED * first[0] <= first[1])
 
+    def _unmodelled(self, columns, seen, noise, mass):
+        """Standard deviations of a delay, and of the rate of a friction where there is one, beside what is fitted."""
+        lag = -1j * self.omega * (seen[: len(self.omega)] + 1j * seen[len(self.omega) :])
+        columns = np.column_stack([columns, _stacked(lag)])
+        late = float(_deviations(_rows(columns)[-1:], *noise)[0])
+        if not self.drag or self.grounded:
+            return late, 0.0
+        slope = -1j * self.omega / (1j * self.omega + self.drag) ** 2 * self.weight * mass
+        columns = np.column_stack([columns, _stacked(slope)])
+        return late, float(_deviations(_rows(columns)[-1:], *noise)[0])
+
+    def _parts(self, kept, left):
+        """Least squares with columns of one size: the gains, and what they leave."""
+        sizes = np.linalg.norm(kept, axis=0)
+        gains = np.linalg.lstsq(np.asarray_chkfinite(kept / sizes), left, rcond=None)[0] / sizes
+        return gains, left - kept @ gains
+
     def fit(self, modes, diagram):
         """The model, its relative error and the standard deviations."""
         modes = modes[:, np.argsort(modes[0])]
@@ -566,25 +583,17 @@ class _Accelerance:
         # What a delay would add is a part of no other number's error: the model is without, and phases hold what they take up.
         places = self.places(modes)
         beside_phases = np.delete(jacobian, places[1:], axis=1)
-        lag = -1j * self.omega * (seen[: len(self.omega)] + 1j * seen[len(self.omega) :])
-        late = float(_deviations(_rows(np.column_stack([beside_phases, _stacked(lag)]))[-1:], *noise)[0])
-        rubbed = 0.0
-        if self.drag and not self.grounded:
-            slope = -1j * self.omega / (1j * self.omega + self.drag) ** 2 * self.weight * gains[0]
-            columns = np.column_stack([beside_phases, _stacked(lag), _stacked(slope)])
-            rubbed = float(_deviations(_rows(columns)[-1:], *noise)[0])
+        late, rubbed = self._unmodelled(beside_phases, seen, noise, gains[0])
         # The model has no growth of the compliance and no mode beyond the band: its gains are those that do best without.
         every, count = modes.shape[1], int(np.sum(modes[0] <= np.log(self.omega[-1])))
         places = places[:, :count]
         kept = linear[:, [1, *places.ravel()]]
         left = self.goal - (0.0 if self.grounded else gains[0] * linear[:, 0])
-        sizes = np.linalg.norm(kept, axis=0)
-        compliance, *own = np.linalg.lstsq(np.asarray_chkfinite(kept / sizes), left, rcond=None)[0] / sizes
+        (compliance, *own), residual = self._parts(kept, left)
         gained = _rows(kept)
         moved = [*([] if self.grounded else [0]), *range(linear.shape[1], jacobian.shape[1])]
         gained -= (gained @ jacobian[:, moved]) @ rows[moved]  # by the mass, frequencies and damping
         own_spread = np.reshape(_deviations(gained, *noise)[1:], places.shape)
-        residual = left - kept @ np.array([compliance, *own])
         own, *beside = np.reshape(own, places.shape)
         sign = float(np.sign(gains[rigid]))
         frequencies, damping = np.exp(modes[:, :count])

@@ -352,9 +352,9 @@ def _why_not(task: _Task, judged: Judged) -> str:
 
 def _write(task: _Task, low: LowEnd | None, history: list[tuple[int, str]], out: Path) -> list[str]:
     """The files of the whole, and the answer in lines."""
-    request, axes, wanted, judged = task.request, task.axes, task.wanted, task.closed.judged()
-    matrix, count = wanted.matrix, len(wanted.names)
-    folders = [f"axis-{k + 1}" for k in range(count)]
+    request, axes, judged = task.request, task.axes, task.closed.judged()
+    matrix = task.wanted.matrix
+    folders = [f"axis-{k + 1}" for k in range(len(task.wanted.names))]
     # Sensors of a file that states no unit may be of several kinds.
     stated = [f" in {unit}" if not matrix.notes else ", unit not stated" for unit in matrix.units]
     code = axes_code(
@@ -366,32 +366,60 @@ def _write(task: _Task, low: LowEnd | None, history: list[tuple[int, str]], out:
     )
     matrices = task.closed.sensitivities()
     sigma = {name: float(np.linalg.norm(each, 2, axis=(1, 2)).max()) for name, each in matrices.items()}
+    answer = _answer(task, judged, history)
+    about = _about(task, folders, _held(task, judged, sigma))
+    files = {**code, "axes.json": json.dumps(about, indent=1, allow_nan=False) + "\n"}
+    files["report.html"] = _page(task, low, judged, sigma, answer)
+    for number, folder in enumerate(folders):
+        own = task.folder / folder / "report.html"
+        said = "".join(
+            f"\n<p>Among the other axes: {html.escape(words)}</p>" for k, words in history if k == number
+        )
+        own.write_text(own.read_text(encoding="utf-8").replace("</h1>", f"</h1>{said}", 1), encoding="utf-8")
+    for name, text in files.items():
+        (task.folder / name).write_text(text, encoding="utf-8")
+    where = f"C and reasons: {out}: {', '.join(sorted([*files, *folders]))}"
+    return [*answer[:2], where, *answer[2:]]
+
+
+def _answer(task: _Task, judged: Judged, history: list[tuple[int, str]]) -> list[str]:
+    """What was chosen, what holds of it, and what is assumed."""
+    matrix, names = task.wanted.matrix, task.wanted.names
     shown = [
         f"{name}: {each.made['use']} {in_hertz(each.loop.crossing_hz(each.pid))} Hz"
-        for name, each in zip(wanted.names, task.loops, strict=True)
+        for name, each in zip(names, task.loops, strict=True)
     ]
     low_hz, high_hz = task.closed.lines()[[0, -1]] / (2 * np.pi)
-    places = len(task.closed.places())
-    answer = [
-        f"{matrix.source}: {'1 axis' if count == 1 else f'{count} axes'}, {axes.words}; {', '.join(shown)}",
+    return [
+        f"{matrix.source}: {'1 axis' if len(names) == 1 else f'{len(names)} axes'}, {task.axes.words}; {', '.join(shown)}",
         f"checked on the measured matrix from {low_hz:.4g} to {high_hz:.4g} Hz: {task.closed.stability(judged)}; largest |S_kk|, "
-        f"all axes closed, {sizes(judged.peaks_db)} dB, and {sizes(judged.box_db)} dB at {places} places of the box",
+        f"all axes closed, {sizes(judged.peaks_db)} dB, and {sizes(judged.box_db)} dB at {len(task.closed.places())} places of the box",
         f"{_of_modes(task)}; not promised: what lies between the lines or beyond them{_unseen(task)}",
         matrix.order,
         *matrix.notes,
-        *(f"{wanted.names[k]} {words}" for k, words in history),
+        *(f"{names[k]} {words}" for k, words in history),
     ]
-    held = {
+
+
+def _held(task: _Task, judged: Judged, sigma: dict[str, float]) -> dict:
+    """What was checked of all axes together, as `axes.json` keeps it."""
+    low_hz, high_hz = task.closed.lines()[[0, -1]] / (2 * np.pi)
+    return {
         "stable": judged.stable,
         "sensitivity_db": judged.peaks_db.tolist(),
         "sensitivity_in_the_box_db": judged.box_db.tolist(),
-        "places_of_the_box": places,
+        "places_of_the_box": len(task.closed.places()),
         "largest_singular_value": sigma,
         "distance_of_characteristic_loci": judged.distance,
         "interaction_bound": float(judged.bound.max()),
         "band_hz": [float(low_hz), float(high_hz)],
     }
-    about = {
+
+
+def _about(task: _Task, folders: list[str], held: dict) -> dict:
+    """The decoupling and its axes, as `axes.json` keeps them."""
+    request, axes, wanted, matrix = task.request, task.axes, task.wanted, task.wanted.matrix
+    return {
         "format": FORMAT,
         "law": "f_k = controller of axis k applied to (T_y (r - y))_k; u = T_u f",
         "rate_hz": request.rate,
@@ -413,18 +441,6 @@ def _write(task: _Task, low: LowEnd | None, history: list[tuple[int, str]], out:
         "sha256": hashlib.sha256(wanted.file.read_bytes()).hexdigest(),
         "band_hz": task.closed.band_hz,
     }
-    files = {**code, "axes.json": json.dumps(about, indent=1, allow_nan=False) + "\n"}
-    files["report.html"] = _page(task, low, judged, sigma, answer)
-    for number, folder in enumerate(folders):
-        own = task.folder / folder / "report.html"
-        said = "".join(
-            f"\n<p>Among the other axes: {html.escape(words)}</p>" for k, words in history if k == number
-        )
-        own.write_text(own.read_text(encoding="utf-8").replace("</h1>", f"</h1>{said}", 1), encoding="utf-8")
-    for name, text in files.items():
-        (task.folder / name).write_text(text, encoding="utf-8")
-    where = f"C and reasons: {out}: {', '.join(sorted([*files, *folders]))}"
-    return [*answer[:2], where, *answer[2:]]
 
 
 def _page(

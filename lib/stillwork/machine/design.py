@@ -4,6 +4,7 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -208,60 +209,9 @@ def design_file(
             raise InputError(
                 f"{wanted.matrix.source} holds a matrix response; give one matrix at a time, or one response with response"
             )
-
-        def make(file: str, to: str, **changed) -> list[str]:
-            return design_file(file, to, rate, verbose=True, **{name: asked[name] for name in own} | changed)
-
+        make = partial(design_file, rate=rate, verbose=True, **{name: asked[name] for name in own})
         return design_axes(wanted, folder, request, make, verbose)
-    given = _read(request, files, options)
-    uses = len(uses_of(given.machines[0]))
-    step = count_steps(EACH * uses * (1 + CHANGES * request.what_helps), "design")
-    lowest = search_range(given.machines[0], 1 / rate)[0]
-    made = search_designs(
-        given.machines[0],
-        given.machines[1:],
-        rate=rate,
-        delay=request.delay,
-        uncertainty=request.shares,
-        loop_hz=request.loop_hz,
-        search_hz=(min(lowest, request.highest_hz / 2), request.highest_hz),
-        noise=given.noise.bound(*request.scales),
-        on_step=step,
-    )
-    if not made.ranking:
-        raise NoSafeLoop(given.sources[0].name, rate, made)
-    helps = improvements(given.machines, made, request.delay, step) if request.what_helps else None
-    controllers, held, peaks = _first_proven(given, made)
-    written, facts = _in_own_units(given, made, controllers)
-    code = _code(request, written)
-    write_folder(folder, code)  # before the page: what was computed is not lost with a picture
-    reached = made.found[made.ranking[0]]
-    pid, loops = reached.safe.controller, reached.model_loops
-    computed = computed_numbers([*loops, *reached.perturbed], pid, [each.model for each in controllers])
-    without = beyond(made)
-    answer = [
-        *_answer(made, held, peaks, without),
-        f"C and reasons: {folder}: {', '.join(sorted([*code, 'report.html']))}",
-        *([AGAINST] if TURNED in made.machine.notes else []),
-    ]
-    about = [*_facts(given, made), *facts]
-    text = report(made, answer[:2], controllers, peaks, computed, helps, held, about, without)
-    (Path(folder) / "report.html").write_text(text, encoding="utf-8")
-    if not verbose:
-        return answer
-    return [
-        *answer,
-        *_findings(given, made),
-        f"the written controller over {pluralise(len(loops) + len(reached.perturbed), 'loop')}: {'; '.join(map(' '.join, computed))}",
-        *(f"{name}: {words}" for name, words in facts),
-        *(
-            [
-                f"what would help most: {'; '.join(' '.join(row) + ' Hz' for row in helps) or 'nothing that was tried'}"
-            ]
-            if helps is not None
-            else []
-        ),
-    ]
+    return _design_one(_read(request, files, options), folder, verbose)
 
 
 def _answer(
@@ -317,6 +267,56 @@ def _read(request: DesignRequest, files: str | Sequence[str], load_options: dict
             f"{against[0].source} moves opposite to {source.name} under the same force; correct the sign of one of them"
         )
     return _Given(request, sources, every[0], machines, units, noise)
+
+
+def _design_one(given: _Given, folder: str, verbose: bool) -> list[str]:
+    """A controller of one axis, written; what was chosen and promised, one line each."""
+    request, rate = given.request, given.request.rate
+    uses = len(uses_of(given.machines[0]))
+    step = count_steps(EACH * uses * (1 + CHANGES * request.what_helps), "design")
+    lowest = search_range(given.machines[0], 1 / rate)[0]
+    made = search_designs(
+        given.machines[0],
+        given.machines[1:],
+        rate=rate,
+        delay=request.delay,
+        uncertainty=request.shares,
+        loop_hz=request.loop_hz,
+        search_hz=(min(lowest, request.highest_hz / 2), request.highest_hz),
+        noise=given.noise.bound(*request.scales),
+        on_step=step,
+    )
+    if not made.ranking:
+        raise NoSafeLoop(given.sources[0].name, rate, made)
+    helps = improvements(given.machines, made, request.delay, step) if request.what_helps else None
+    controllers, held, peaks = _first_proven(given, made)
+    written, facts = _in_own_units(given, made, controllers)
+    code = _code(request, written)
+    write_folder(folder, code)  # before the page: what was computed is not lost with a picture
+    reached = made.found[made.ranking[0]]
+    pid, loops = reached.safe.controller, reached.model_loops
+    computed = computed_numbers([*loops, *reached.perturbed], pid, [each.model for each in controllers])
+    without = beyond(made)
+    answer = [
+        *_answer(made, held, peaks, without),
+        f"C and reasons: {folder}: {', '.join(sorted([*code, 'report.html']))}",
+        *([AGAINST] if TURNED in made.machine.notes else []),
+    ]
+    about = [*_facts(given, made), *facts]
+    text = report(made, answer[:2], controllers, peaks, computed, helps, held, about, without)
+    (Path(folder) / "report.html").write_text(text, encoding="utf-8")
+    if not verbose:
+        return answer
+    many = pluralise(len(loops) + len(reached.perturbed), "loop")
+    answer += [
+        *_findings(given, made),
+        f"the written controller over {many}: {'; '.join(map(' '.join, computed))}",
+        *(f"{name}: {words}" for name, words in facts),
+    ]
+    if helps is not None:
+        best = "; ".join(" ".join(row) + " Hz" for row in helps)
+        answer.append(f"what would help most: {best or 'nothing that was tried'}")
+    return answer
 
 
 def _first_proven(given: _Given, made: Designed) -> tuple[list[DigitalController], list[list[str]], dict]:

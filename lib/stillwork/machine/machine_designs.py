@@ -228,17 +228,7 @@ def search_designs(
     _require_fit(machine, others, rate, delay)
     prompt, late = zip(*(_prompt(each, delay, rate) for each in (machine, *others)), strict=True)
     spreads = tuple(uncertainty_of(each, shares) for each in prompt)
-    shares_text = " and ".join(
-        f"{name} ± {value:g} {ABSOLUTE.get(name, '')}".rstrip() for name, value in shares.items()
-    )
-    notes = (
-        f"searched at {rate:g} Hz{' (no rate was given: above 20 times the first resonance and 4 times the last)' * chosen}, "
-        f"delay {late[0]:.4g} samples plus the hold, uncertainty {shares_text or 'none'}"
-        f"{' plus the intervals of the fit' * bool(shares_text and machine.fit)}",
-        "S_I and S_O, which is also r to e since the controller runs on the error, at most 6 dB",
-        *noise.words(machine.units),
-        *_cut(prompt[0], loop_hz),
-    )
+    notes = _searched_for(prompt[0], rate, chosen, late[0], shares, noise, loop_hz)
     made = Designed(
         prompt[0],
         prompt[1:],
@@ -255,23 +245,44 @@ def search_designs(
         loop_hz,
         search_hz,
     )
-    every = {"PID": None, NOTCHED: None} | applications(added_damping, selectivity)
+    uses = {"PID": None, NOTCHED: None} | applications(added_damping, selectivity)
     for use in uses_of(machine):
-        application = every[use]
-        first = DesignSettings(application, retained, intensities, use == NOTCHED)
-        best = _furthest(
-            prompt[0],
-            first,
-            _carried(first, made.settings),
-            made.search,
-            partial(on_step or (lambda _: None), use),
-        )
-        made.settings[use], made.found[use] = best
-        for name in CONTAINED[use]:
-            if crossing(made.found[name]) >= crossing(made.found[use]) and made.found[name].recommended:
-                made.settings[use], made.found[use] = made.settings[name], made.found[name]
-                made.same[use] = made.same.get(name, name)
+        first = DesignSettings(uses[use], retained, intensities, use == NOTCHED)
+        _search_use(made, use, first, partial(on_step or (lambda _: None), use))
     return made
+
+
+def _searched_for(
+    machine: Machine,
+    rate: float,
+    chosen: bool,
+    late: float,
+    shares: Mapping[str, float],
+    noise: NoiseBound,
+    loop_hz: tuple[float, float],
+) -> tuple[str, ...]:
+    """What a search assumes; `chosen` where nobody gave the rate."""
+    shares_text = " and ".join(
+        f"{name} ± {value:g} {ABSOLUTE.get(name, '')}".rstrip() for name, value in shares.items()
+    )
+    return (
+        f"searched at {rate:g} Hz{' (no rate was given: above 20 times the first resonance and 4 times the last)' * chosen}, "
+        f"delay {late:.4g} samples plus the hold, uncertainty {shares_text or 'none'}"
+        f"{' plus the intervals of the fit' * bool(shares_text and machine.fit)}",
+        "S_I and S_O, which is also r to e since the controller runs on the error, at most 6 dB",
+        *noise.words(machine.units),
+        *_cut(machine, loop_hz),
+    )
+
+
+def _search_use(made: Designed, use: str, first: DesignSettings, on_step: Callable[[], object]) -> None:
+    """How far a use gets, into `made`: no less far than one that it contains."""
+    best = _furthest(made.machine, first, _carried(first, made.settings), made.search, on_step)
+    made.settings[use], made.found[use] = best
+    for name in CONTAINED[use]:
+        if crossing(made.found[name]) >= crossing(made.found[use]) and made.found[name].recommended:
+            made.settings[use], made.found[use] = made.settings[name], made.found[name]
+            made.same[use] = made.same.get(name, name)
 
 
 def _cut(machine: Machine, loop_hz: tuple[float, float]) -> Iterator[str]:
