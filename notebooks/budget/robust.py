@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 
 from experiments.budget.machine import FLOORS, machine, on_every_floor, stage
-from stillwork.control.error_budget import box_band, box_places
+from stillwork.control.budget import box_band, box_places
 from stillwork.control.floor_machine import FloorMachine
 from stillwork.control.uncertainty import Perturbation, Uncertainty, corners, perturbed_plant
 from workbook import figures

@@ -6,8 +6,8 @@ import numpy as np
 
 from experiments.budget.machine import AS_FILED, BAND_HZ, FLOORS, Assumed, machine, on_every_floor, parameters
 from experiments.budget.waterfall import STEPS
+from stillwork.control.budget import ErrorBudget, Source, UnstableLoop, error_budget, tone_response
 from stillwork.control.budget_sources import setpoint
-from stillwork.control.error_budget import ErrorBudget, Source, UnstableLoop, error_budget, tone_response
 from stillwork.machine.budget import nanometres
 from workbook import figures
 

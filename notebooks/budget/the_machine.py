@@ -6,8 +6,8 @@ import numpy as np
 from scipy import linalg
 
 from experiments.budget.machine import BAND_HZ, FLOORS, floor, machine, parameters
+from stillwork.control.budget import Network, Source, error_budget
 from stillwork.control.budget_sources import shaped, white
-from stillwork.control.error_budget import Network, Source, error_budget
 from stillwork.control.floor_machine import FloorMachine
 from stillwork.control.pid import PidFamily
 from stillwork.lti.modal import ModalModel

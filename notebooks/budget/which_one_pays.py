@@ -18,7 +18,7 @@ from experiments.budget.machine import (
     noises,
     on_every_floor,
 )
-from stillwork.control.error_budget import ErrorBudget, UnstableLoop, error_budget
+from stillwork.control.budget import ErrorBudget, UnstableLoop, error_budget
 from stillwork.control.floor_machine import FloorMachine, weak_integrator
 from stillwork.estimation.adaptive import FeLms, FeRls
 from stillwork.estimation.min_max import solve_silently

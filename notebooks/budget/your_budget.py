@@ -6,8 +6,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from experiments.budget.waterfall import paint_waterfall
+from stillwork.control.budget import ErrorBudget, UnstableLoop, error_budget
 from stillwork.control.budget_sources import criterion_floor
-from stillwork.control.error_budget import ErrorBudget, UnstableLoop, error_budget
 from stillwork.control.pid import Pid, PidFamily
 from stillwork.machine.budget import nanometres
 from stillwork.machine.budget_tables import MachineFile, open_machine

@@ -11,8 +11,8 @@ from experiments.budget.machine import machine as notebooks_machine
 from stillwork.__main__ import main
 from stillwork.base.checks import InputError
 from stillwork.base.toml_files import read_toml
+from stillwork.control.budget import error_budget, tone_response
 from stillwork.control.digital import DigitalController
-from stillwork.control.error_budget import error_budget, tone_response
 from stillwork.control.pid import PidFamily
 from stillwork.lti.discretisation import tustin
 from stillwork.machine import budget

@@ -8,6 +8,7 @@ import pytest
 from scipy import integrate, linalg, signal
 
 from stillwork import control, lti, signals
+from stillwork.control.budget import box_band, box_places
 from stillwork.control.budget_sources import (
     criterion_floor,
     measured,
@@ -18,7 +19,6 @@ from stillwork.control.budget_sources import (
     tabulated,
     white,
 )
-from stillwork.control.error_budget import box_band, box_places
 from stillwork.control.floor_machine import FloorMachine, weak_integrator
 from stillwork.control.uncertainty import perturbed_plant
 from stillwork.lti.state_space import StateModel, constant

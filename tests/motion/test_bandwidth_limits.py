@@ -9,7 +9,7 @@ from stillwork.base.checks import InputError
 from stillwork.control.bandwidth import PeakConstraint, make_loop, maximise_bandwidth
 from stillwork.control.machine_loops import HELD
 from stillwork.control.pid import PidFamily
-from stillwork.machine.loop_margins import loop_margins
+from stillwork.machine.margins import loop_margins
 
 TOLERANCE = 1e-5  # of the limit: what a zoom between two points leaves
 DAMPING = np.array([0.0, 1.0272e-4, 3.3496e-4])

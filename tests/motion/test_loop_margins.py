@@ -12,7 +12,7 @@ from stillwork.control.bandwidth import make_loop
 from stillwork.control.digital import runnable
 from stillwork.control.machine_loops import HELD, observed_loops
 from stillwork.control.pid import PidFamily
-from stillwork.machine.loop_margins import MARGINS, computed_numbers, loop_margins
+from stillwork.machine.margins import MARGINS, computed_numbers, loop_margins
 
 
 @pytest.mark.parametrize("seeds", [range(8), pytest.param(range(8, 20), marks=pytest.mark.slow)])

@@ -8,8 +8,8 @@ from jaxtyping import Float64
 
 from stillwork.base.toml_files import Table, read_toml
 from stillwork.control.applications import Application
+from stillwork.control.budget import ErrorBudget, Source, error_budget
 from stillwork.control.budget_sources import criterion_floor, measured, tabulated, white
-from stillwork.control.error_budget import ErrorBudget, Source, error_budget
 from stillwork.control.floor_machine import FloorMachine
 from stillwork.control.machine_loops import observing_compensator
 from stillwork.control.pid import PidFamily

@@ -8,7 +8,7 @@ import numpy as np
 
 from experiments.budget.machine import BAND_HZ, FLOORS, budget_of, filed, level, machine, noises, parameters
 from experiments.budget.machine import floor as source_of
-from stillwork.control.error_budget import ErrorBudget, UnstableLoop, error_budget
+from stillwork.control.budget import ErrorBudget, UnstableLoop, error_budget
 from stillwork.control.floor_machine import FloorMachine
 from workbook import Choice, Slider, figures
 

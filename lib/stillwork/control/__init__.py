@@ -10,7 +10,7 @@ __all__, __getattr__, __dir__ = lazy_exports(
         "bandwidth": ("PeakConstraint", "make_loop", "maximise_bandwidth"),
         "decoupling": ("decouple",),
         "digital": ("DigitalController", "error_driven", "load_controller"),
-        "error_budget": ("Network", "Source", "error_budget", "tone_response"),
+        "budget": ("Network", "Source", "error_budget", "tone_response"),
         "feedback": ("damping_gain",),
         "feedforward": (
             "Feedforward",

@@ -6,7 +6,7 @@ from numpy.typing import ArrayLike
 from stillwork.base.bounds import NonNegative, Positive, Vector
 from stillwork.base.checks import InputError, require_array
 from stillwork.base.validation import checked
-from stillwork.control.error_budget import KNOWN, Source
+from stillwork.control.budget import KNOWN, Source
 from stillwork.lti.state_space import StateModel
 from stillwork.signals.criteria import criterion_density
 from stillwork.signals.spectra import Spectrum

@@ -9,8 +9,8 @@ from scipy import signal
 from stillwork.base.bounds import Count, NonNegative, Positive, at_least
 from stillwork.base.checks import InputError
 from stillwork.base.validation import by_value, check_fields, checked
+from stillwork.control.budget import Network
 from stillwork.control.digital import observed_controller
-from stillwork.control.error_budget import Network
 from stillwork.control.pid import Pid
 from stillwork.lti.discretisation import tustin
 from stillwork.lti.modal import ModalModel

@@ -6,7 +6,7 @@ __all__, __getattr__, __dir__ = lazy_exports(
     __name__,
     {
         "c_code": ("adaptation_code", "controller_code", "least_squares_code"),
-        "loop_margins": ("loop_margins",),
+        "margins": ("loop_margins",),
         "readings": ("require_explained",),
     },
 )

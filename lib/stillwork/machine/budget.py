@@ -10,16 +10,16 @@ import numpy as np
 from stillwork.base.checks import InputError
 from stillwork.base.extras import require_package
 from stillwork.base.toml_files import Table
-from stillwork.control.budget_sources import (
-    white,
-)
-from stillwork.control.error_budget import (
+from stillwork.control.budget import (
     ErrorBudget,
     Network,
     Source,
     UnstableLoop,
     error_budget,
     tone_response,
+)
+from stillwork.control.budget_sources import (
+    white,
 )
 from stillwork.control.floor_machine import FloorMachine
 from stillwork.control.pid import Pid, PidFamily

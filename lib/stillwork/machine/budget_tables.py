@@ -10,6 +10,7 @@ import numpy as np
 from stillwork.base.checks import InputError, require_array, require_choice, require_number
 from stillwork.base.toml_files import Table
 from stillwork.base.validation import by_value
+from stillwork.control.budget import Source
 from stillwork.control.budget_sources import (
     criterion_floor,
     measured,
@@ -20,7 +21,6 @@ from stillwork.control.budget_sources import (
     white,
 )
 from stillwork.control.digital import load_controller, of_reference
-from stillwork.control.error_budget import Source
 from stillwork.control.floor_machine import COMMANDS, DISTURBANCES, MEASUREMENTS, FloorMachine, force_law
 from stillwork.control.pid import PidFamily
 from stillwork.lti.modal import ModalModel

@@ -28,7 +28,6 @@ from stillwork.machine.c_code import controller_code, require_names
 from stillwork.machine.design_page import box_table, report
 from stillwork.machine.export import require_free, write_folder
 from stillwork.machine.hardware import ALLOWED_DB, SensorNoise, noise_rows, sensor_noise, single_rows
-from stillwork.machine.loop_margins import computed_numbers
 from stillwork.machine.machine_designs import (
     CHANGES,
     DELAY,
@@ -40,6 +39,7 @@ from stillwork.machine.machine_designs import (
     stated_uncertainty,
     uses_of,
 )
+from stillwork.machine.margins import computed_numbers
 from stillwork.machine.progress import count_steps
 from stillwork.machine.promise import (
     beyond,
