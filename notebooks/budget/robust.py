@@ -209,17 +209,10 @@ def paint_box(size: float):
         at, stable = floors + 0.2 * (k - 1.5), whole[k, ~gone]
         axes.vlines(at, stable.min(axis=0), stable.max(axis=0), color=colour, linewidth=3, alpha=0.5)
         axes.plot(at, whole[k, 0], mark, color=colour, markersize=4.5, linestyle="none", label=design)
-        for errors in whole[k, gone]:
-            axes.plot(
-                at, errors, "x", color=colour, markersize=5, label=f"_{design}, where another is unstable"
-            )
+        axes.plot(at, whole[k, gone].T, "x", color=colour, markersize=5, label="_where another is unstable")
     if gone.any():
-        lost = ",\nor ".join(
-            name for name, each in zip(DESIGNS, whole, strict=True) if np.isnan(each[gone]).any()
-        )
-        axes.plot(
-            [], [], "kx", markersize=5, label=f"others where {lost},\nis unstable ({gone.sum()} places)"
-        )
+        label = f"stable ones, where another\nis not ({gone.sum()} of {len(gone) - 1} places)"
+        axes.plot([], [], "kx", markersize=5, label=label)
     axes.axhspan(
         1.0, 1 + LEVEL, color=figures.GREY, alpha=0.25, linewidth=0, label=f"level, within {100 * LEVEL:g} %"
     )

@@ -259,14 +259,15 @@ def paint_floor(floor: FloorSpectra):
 def paint_gain(gains: np.ndarray, left: dict[str, np.ndarray]):
     """Rms motion over that of the feet, for a louder or quieter floor."""
     figure, axes = figures.new(1, 1, height=2.8)
-    for name, values in left.items():
-        width = 3.5 if name == "feedback" else 1.5  # FeRLS lies on it where noise dominates
+    # FeRLS lies on the feedback where noise dominates.
+    looks = (
+        (1.5, 0, 1.2, "passive"),
+        (3.5, -3, 0.4, "feedback alone"),
+        (1.5, -3, 1.6, "  feedback and FeRLS"),
+    )
+    for (name, values), (width, place, above, word) in zip(left.items(), looks, strict=True):
         axes.loglog(gains, values, color=COLOURS[name], lw=width, label=name)
-    places = {"passive": (0, "bottom"), "feedback": (-3, "top"), "FeRLS": (-3, "bottom")}
-    words = {"passive": "passive", "feedback": "feedback alone", "FeRLS": "  feedback and FeRLS"}
-    for name, (place, side) in places.items():
-        at = gains[place], left[name][place] * (0.7 if side == "top" else 1.2)
-        axes.text(*at, words[name], color=COLOURS[name], va=side)
+        axes.text(gains[place], above * values[place], word, color=COLOURS[name])
     axes.axhline(1, color=figures.GREY, lw=0.8)
     axes.axvline(1, color=figures.GREY, lw=0.8, ls="--")
     axes.text(1.1, left["feedback"][0], "this floor", color=figures.GREY, va="top")

@@ -162,7 +162,7 @@ def paint_decoupled_plants(loops: Sequence[RigLoop]):
         plant = physical_plant(loop)
         for place in np.ndindex(3, 3):
             # Thinner in turn: positions coincide in places, as on a symmetric plate.
-            style = {"linewidth": (3.6, 2.4, 1.4, 0.6)[number - 1], "label": f"position {number}"}
+            style = {"linewidth": (2.8, 1.9, 1.1, 0.6)[number - 1], "label": f"position {number}"}
             add_magnitude(axes[place], loop.omega, plant[place], **style)
     printed_hz = published()["frequencies_hz"]
     for i, j in np.ndindex(3, 3):

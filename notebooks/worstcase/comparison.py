@@ -597,12 +597,8 @@ def _of_structure(page, structured: np.ndarray) -> None:
 
 Four more rows: a twentieth of the outputs with a hundred times the noise; two inputs that differ by a hundredth; a free decay with
 its own past as regressors (no excitation: its four cells are four draws); and a second sensor of the input, whose rows are the
-instruments. Below the picture the errors, the largest of the excitations.""")
+instruments.""")
     page.save("structured", paint_map(list(STRUCTURED), structured))
-    sizes = np.exp(np.log(structured).mean(axis=2)).max(axis=1)
-    for name, row in zip(STRUCTURED, sizes, strict=True):
-        each = (f"{method} {size:.2g}" for method, size in zip(METHODS.values(), row, strict=True))
-        page.show(f"{name}: " + ", ".join(each))
     for entry, value in structured_ratios(structured).items():
         page.check(entry, value)
 
