@@ -261,7 +261,7 @@ def paint_gain(gains: np.ndarray, left: dict[str, np.ndarray]):
     figure, axes = figures.new(1, 1, height=2.8)
     # FeRLS lies on the feedback where noise dominates.
     looks = (
-        (1.5, 0, 1.2, "passive"),
+        (1.5, 0, 1.4, "passive"),
         (3.5, -3, 0.4, "feedback alone"),
         (1.5, -3, 1.6, "  feedback and FeRLS"),
     )

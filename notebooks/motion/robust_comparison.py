@@ -636,7 +636,9 @@ def _explored_error(name: str, size_percent: float, knob: float) -> np.ndarray:
     return records.states[0] - run_entrant(name, contest, knob, records)[0]
 
 
-DRAWN = 8  # every so many samples of the explorer's lines, 0.8 ms: all of them are too many for the site
+STRETCH = (
+    40  # samples, 4 ms: the explorer draws the largest error in each, since the oscillations hide one another
+)
 
 
 def paint_weight(weight_exponent: float, size_percent: float):
@@ -644,15 +646,30 @@ def paint_weight(weight_exponent: float, size_percent: float):
     scan = _contest(size_percent)[0]
     knobs = {"Kalman": 1.0, "sensitivity penalised": 10.0**weight_exponent}
     knobs["regularised least squares"] = size_percent / 100
-    figure, axes = figures.new(1, 2, height=2.8, sharex=True)
-    window = np.flatnonzero(scan.setpoint.scanning)[::DRAWN]
-    for name, knob in knobs.items():
+    figure = _weight_figure(tuple(knobs))
+    window = np.flatnonzero(scan.setpoint.scanning)
+    window = window[: len(window) // STRETCH * STRETCH].reshape(-1, STRETCH)
+    for number, (name, knob) in enumerate(knobs.items()):
         error = _explored_error(name, size_percent, knob)
-        for axis, state in zip(axes, (2, 4), strict=True):
-            axis.plot(scan.setpoint.time[window], 1e9 * error[state, window], label=name, color=COLOURS[name])
-            axis.set(title=STATES[state][0], xlabel="time (s)")
-    axes[0].set_ylabel("estimation error (nm √kg)")
-    axes[0].legend()
+        for axis, state in zip(figure.axes, (2, 4), strict=True):
+            size = 1e9 * np.abs(error[state, window]).max(axis=1)
+            axis.lines[number].set_data(scan.setpoint.time[window[:, 0]], size)
+            axis.relim()
+            axis.autoscale_view()
+    return figure
+
+
+@cache
+def _weight_figure(names: tuple[str, ...]):
+    """Figure of the explorer, kept for its next move: only its data change."""
+    figure, axes = figures.new(1, 2, height=2.8, sharex=True)
+    for axis, state in zip(axes, (2, 4), strict=True):
+        for name in names:
+            width = 4 if name == "Kalman" else 1.3  # the penalised one lies on it
+            axis.semilogy([], [], label=name, color=COLOURS[name], lw=width)
+        axis.set(title=STATES[state][0], xlabel="time (s)")
+    axes[0].set_ylabel("largest error in 4 ms (nm √kg)")
+    figures.legend_below(axes[0], 3)
     return figure
 
 
