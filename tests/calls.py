@@ -195,7 +195,7 @@ CATALOGUE: dict = {
     "lti.simulate": (lti.simulate, {"model": sampled, "inputs": signal[None], "initial": np.zeros(2)}),
     "truncate": (lti.truncate, {"model": model, "modes": 2, "compensated": 1}),
     "zoh": (lti.zoh, {"model": state, "sample_time": 0.01}),
-    "build_machine": (i.build_machine, {"file": None, "modes_hz": [50.0], "fit_hz": (10.0, 200.0), "mirrored_sensor": True}),
+    "build_machine": (i.build_machine, {"file": None, "modes_hz": [50.0], "fit_hz": (10.0, 200.0)}),
     "fir_regressors": (i.fir_regressors, {"signal": signal, "taps": 3}),
     "stabilisation": (i.stabilisation, {"omega": measured.omega, "response": measured.response[:, None, None]}),
     "identify_modes": (i.identify_modes, {"measured": measured, "band_hz": (10.0, 200.0), "guesses_hz": [48.0, 143.0]}),

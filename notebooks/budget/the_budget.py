@@ -88,7 +88,7 @@ def paint_spectra(budgets: dict[str, ErrorBudget]):
     figure, axes = figures.new(height=2.8)
     for name in STEPS:
         budget = budgets[name]
-        above = np.sqrt(budget.cumulative(backward=True)[:, 0].sum(axis=0))
+        above = np.sqrt(budget.cumulative()[:, 0].sum(axis=0))
         axes.loglog(budget.frequencies_hz, 1e9 * above, linewidth=1.0, label=name)
     axes.set(xlabel="frequency (Hz)", ylabel="rms error from all\nhigher frequencies (nm)", ylim=(0.3, None))
     axes.legend()

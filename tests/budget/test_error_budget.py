@@ -171,8 +171,7 @@ def test_python_control_and_quad_give_the_same():
         assert budget.powers[row, 0] == pytest.approx(whole, rel=1e-7, abs=0)
     assert budget.powers[2, 0] == pytest.approx(abs(response(50.0, 1)) ** 2 * 0.02**2 / 2, rel=1e-9, abs=0)
     assert budget.rms[0] ** 2 == pytest.approx(budget.powers[:, 0].sum(), rel=1e-12)
-    for backward, end in ((False, -1), (True, 0)):
-        np.testing.assert_allclose(budget.cumulative(backward)[:2, :, end], budget.powers[:2], rtol=1e-12)
+    np.testing.assert_allclose(budget.cumulative()[:2, :, 0], budget.powers[:2], rtol=1e-12)
 
 
 def _connected(plant, law):

@@ -44,9 +44,7 @@ def with_another(hertz, share):
 @pytest.mark.slow
 def test_it_is_named_up_to_where_one_mode_more_breaks_the_promise():
     seen = TRUE.response(HERTZ) * np.exp(2j * np.pi * HERTZ / RATE)  # the delay is the loop's
-    machine = build_machine(
-        load_machine((HERTZ, seen), "m", "N"), modes_hz=[], fit_hz=(0, 0), mirrored_sensor=False
-    )
+    machine = build_machine(load_machine((HERTZ, seen), "m", "N"), modes_hz=[], fit_hz=(0, 0))
     use, search = DesignSettings(None, 5, INTENSITIES, False), SearchSettings(1 / RATE, 1.0, {})
     reached = reach(machine, use, search)
     spreads = (uncertainty_of(machine, {}),)

@@ -110,7 +110,7 @@ def test_what_would_help_is_what_a_search_of_the_changed_file_finds(tmp_path, un
     ):
         np.savez(tmp_path / "m.npz", M=MASS, K=STIFFNESS, input=[1.0, 0.0], output=[output])
         file = load_machine(tmp_path / "m.npz", damping_ratio=damping)
-        machine = build_machine(file, modes_hz=[], fit_hz=(0.0, 0.0), mirrored_sensor=False)
+        machine = build_machine(file, modes_hz=[], fit_hz=(0.0, 0.0))
         other = search_designs(machine, rate=5e3, delay=delay, uncertainty="none")
         if words in found:
             assert found[words] == (other.ranking[0], pytest.approx(bandwidth(other), rel=5e-3))

@@ -79,9 +79,7 @@ def simulated(controller, plant, noise):
 def machine(tmp_path_factory):
     file = write_machine(tmp_path_factory.mktemp("noise"))
     reading = {"response_unit": "rad", "force_unit": "N m"}
-    return file, build_machine(
-        load_machine(file, **reading), modes_hz=[], fit_hz=(0, 0), mirrored_sensor=False
-    )
+    return file, build_machine(load_machine(file, **reading), modes_hz=[], fit_hz=(0, 0))
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.37])

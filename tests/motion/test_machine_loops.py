@@ -42,7 +42,7 @@ def machine_of(folder, name):
     mass, stiffness, outputs, damping = chain(**MACHINES[name][0])
     np.savez(folder / "m.npz", M=mass, K=stiffness, input=np.eye(len(mass))[0], output=outputs)
     file = load_machine(folder / "m.npz", damping_ratio=damping)
-    return build_machine(file, modes_hz=[], fit_hz=(0.0, 0.0), mirrored_sensor=False)
+    return build_machine(file, modes_hz=[], fit_hz=(0.0, 0.0))
 
 
 def responses(name, omega):

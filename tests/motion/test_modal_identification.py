@@ -186,9 +186,7 @@ def test_a_measured_machine_on_springs_keeps_its_suspension(tmp_path, sign, plac
     ]
     error = np.random.default_rng(place).normal(size=(2, len(hertz))) * 1e-4
     np.savez(tmp_path / "a.npz", frequency=hertz, h=np.array(response) + error[0] + 1j * error[1])
-    machine = build_machine(
-        load_machine(tmp_path / "a.npz"), modes_hz=[], fit_hz=(0.0, 0.0), mirrored_sensor=False
-    )
+    machine = build_machine(load_machine(tmp_path / "a.npz"), modes_hz=[], fit_hz=(0.0, 0.0))
     wanted = np.sqrt(np.sort(np.linalg.eigvals(np.linalg.solve(mass, stiffness)).real)) / (2 * np.pi)
     assert machine.sensors[0].frequencies / (2 * np.pi) == pytest.approx(wanted, rel=1e-3)
     assert machine.mass == pytest.approx(40.0, rel=0.02)
@@ -203,7 +201,7 @@ def test_a_delay_is_told_and_taken_out(tmp_path):
     delayed = response * np.exp(-2j * np.pi * hertz * late)
     np.savez(tmp_path / "a.npz", **{"frequency (Hz)": hertz, "h (m/s^2/N)": delayed})
     file = load_machine(tmp_path / "a.npz")
-    machine = build_machine(file, modes_hz=[], fit_hz=(0.0, 0.0), mirrored_sensor=False)
+    machine = build_machine(file, modes_hz=[], fit_hz=(0.0, 0.0))
     assert any("the response is 300 us late" in note for note in machine.notes)
     assert machine.mass == pytest.approx(40.0, rel=2e-3)
     assert machine.fit.delay == pytest.approx(late, rel=1e-3)
@@ -244,10 +242,7 @@ def test_the_modes_of_a_suspension_are_found_over_the_whole_band():
     """Measured: modes at 0.50, 0.68 and 2.75 Hz, few of 1,280 even lines up to 10 Hz; from 0.2 to 5 Hz they stand out."""
     source = paths.data("motion", "suspension_pitch/pitch.npz")
     file = load_machine(source, "rad", "N m")
-    whole, given = (
-        build_machine(file, modes_hz=[], fit_hz=band, mirrored_sensor=False)
-        for band in ((0.0, 0.0), (0.2, 5.0))
-    )
+    whole, given = (build_machine(file, modes_hz=[], fit_hz=band) for band in ((0.0, 0.0), (0.2, 5.0)))
     for hertz in (0.502, 0.677, 2.745):
         assert np.abs(whole.resonances_hz / hertz - 1).min() < 2e-3
         assert np.abs(given.resonances_hz / hertz - 1).min() < 2e-3

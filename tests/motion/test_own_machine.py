@@ -64,7 +64,7 @@ def test_a_measurement_is_the_plant_from_the_first_to_the_last_line_that_its_coh
     file = load_machine((hertz, seen), "rad", "N m")
     for coherence, ends in ((1 / (1 + noise**2), (20.0, 150.0)), (np.full(len(hertz), np.nan), (2.0, 189.8))):
         known = replace(file, accelerance=file.accelerance._replace(coherence=coherence))
-        machine = build_machine(known, modes_hz=[], fit_hz=(0, 0), mirrored_sensor=False)
+        machine = build_machine(known, modes_hz=[], fit_hz=(0, 0))
         assert measured_band(machine) == pytest.approx(ends, abs=0.3)
         assert measured_band(machine, (5.0, 170.0)) == (5.0, 170.0)
 
@@ -236,7 +236,7 @@ def test_the_promise_holds_where_a_damper_couples_two_modes(tmp_path):
     columns = {"frequency (Hz)": hertz, "h (m/N)": seen, "coherence": np.full(len(hertz), 1 / (1 + 1e-6))}
     np.savez(tmp_path / "coupled.npz", **columns)
     file = load_machine(tmp_path / "coupled.npz")
-    given = build_machine(file, modes_hz=[], fit_hz=(0, 0), mirrored_sensor=False)
+    given = build_machine(file, modes_hz=[], fit_hz=(0, 0))
     box = {"frequency": 0.05, "gain": 0.1, "damping": 0.2}
     use = DesignSettings(Application(compensate=True), 5, Intensities(8e-4, 1.41e-11, 1.92e-4), lead=4.0)
     worst = []

@@ -35,14 +35,14 @@ def saved(folder, machine, name="machine"):
 @pytest.mark.parametrize("kind", KINDS)
 def test_mass_springs_and_friction_are_those_of_the_machine(tmp_path, kind):
     file, true = saved(tmp_path, KINDS[kind]), KINDS[kind]
-    machine = build_machine(load_machine(file), modes_hz=[], fit_hz=(0, 0), mirrored_sensor=False, rigid=True)
+    machine = build_machine(load_machine(file), modes_hz=[], fit_hz=(0, 0), rigid=True)
     assert not len(machine.resonances_hz) and machine.mass == pytest.approx(MASS, rel=0.02)
     assert machine.sensors[0].frequencies == pytest.approx([2 * np.pi * true.springs], rel=1e-3)
     assert machine.fit.delay == pytest.approx(LATE, abs=4 * machine.fit.delay_deviation)
     if not true.springs:
         assert machine.sensors[0].drag == pytest.approx(true.friction, rel=0.02)
     with pytest.raises(InputError, match=r"no resonance stands out|no flexible mode beside it"):
-        build_machine(load_machine(file), modes_hz=[], fit_hz=(0, 0), mirrored_sensor=False)
+        build_machine(load_machine(file), modes_hz=[], fit_hz=(0, 0))
 
 
 def test_noise_is_no_rigid_body(tmp_path):

@@ -35,12 +35,8 @@ def write_csv(path, **columns):
     return path
 
 
-def built(file, sensors=1, **options):
-    machine = build_machine(
-        load_machine(file, **options), modes_hz=[], fit_hz=(0.0, 0.0), mirrored_sensor=sensors == 2
-    )
-    assert len(machine.sensors) == sensors
-    return machine
+def built(file, **options):
+    return build_machine(load_machine(file, **options), modes_hz=[], fit_hz=(0.0, 0.0))
 
 
 # --------------------------------------------------------------------------------------------------- the forms
@@ -73,7 +69,7 @@ def test_templates_are_one_machine():
     wanted = np.sqrt(np.linalg.eigvals(np.linalg.solve(MASS, STIFFNESS)).real.clip(0))
     wanted = np.sort(wanted)[1:] / (2 * np.pi)
     for name in ("matrices", "frequency_response", "hammer_records"):
-        machine = built(TEMPLATES / f"{name}.csv", 2, damping_ratio=0.01)
+        machine = built(TEMPLATES / f"{name}.csv", damping_ratio=0.01)
         assert machine.resonances_hz == pytest.approx(wanted, rel=1e-5)
         assert machine.mass == pytest.approx(12.0, rel=1e-3)
         assert machine.sensors[0].damping[1:] == pytest.approx(0.01, rel=1e-3)
@@ -83,8 +79,7 @@ def test_matrices_with_damping_and_two_sensors_respond_as_the_equation_of_motion
     np.savez(
         tmp_path / "a.npz", M=MASS, K=STIFFNESS, D=DAMPING, input=[1, 0, 0], output=[[1, 0, 0], [0, 0, 1]]
     )
-    machine = built(tmp_path / "a.npz", 2)
-    assert machine.mirrored == (False, False)
+    machine = built(tmp_path / "a.npz")
     omega = 2 * np.pi * HERTZ
     for sensor, place in zip(machine.sensors, (0, 2), strict=True):
         response = -(omega**2) * sensor.frequency_response(omega)[0, 0]

@@ -367,13 +367,8 @@ class ErrorBudget:
         return self.rms - np.sqrt(np.maximum(left, 0))
 
     @checked
-    def cumulative(self, backward: bool = False) -> Float64[np.ndarray, "sources errors f"]:
-        """Mean square below each frequency; with `backward`, above it.
-
-        Parameters
-        ----------
-        backward : bool
-            Sum from the highest frequency down.
+    def cumulative(self) -> Float64[np.ndarray, "sources errors f"]:
+        """Mean square above each frequency.
 
         Returns
         -------
@@ -386,11 +381,10 @@ class ErrorBudget:
         >>> net = control.Network(spring, gain, {"load": "N"}, {"drive": "N"}, {"error": "m"}, {"sensor": "m"})
         >>> load = control.Source("load", ("load",), "N", lambda f: np.full(len(f), 2.0), tones=((10.0, 0.1),))
         >>> budget = control.error_budget(net, [load], (1e-3, 1e4))
-        >>> bool(np.allclose(budget.cumulative()[..., -1], budget.powers))
+        >>> bool(np.allclose(budget.cumulative()[..., 0], budget.powers))
         True
         """
-        parts = self.density * self.weights_hz
-        return np.cumsum(parts[..., ::-1], axis=-1)[..., ::-1] if backward else np.cumsum(parts, axis=-1)
+        return np.cumsum((self.density * self.weights_hz)[..., ::-1], axis=-1)[..., ::-1]
 
     @checked
     def moving(

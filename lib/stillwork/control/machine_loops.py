@@ -541,15 +541,15 @@ class _Task(NamedTuple):
     def _measured(self) -> tuple[tuple[Loop, ...], list[Loop]]:
         """Loops on the measurements and on models whose modes have phases, and those of the latter at further places."""
         seen = [
-            on_measurement(loop, each.measured, 1.0, band, mirror)
+            on_measurement(loop, each.measured, 1.0, band)
             for group, (each, _), band in zip(self.groups, self.responses, self.bands, strict=True)
-            for loop, mirror in zip(group, each.mirrored, strict=True)
             if each.measured is not None
+            for loop in group
         ]
         beside: list[Loop] = []
         for group, (each, _), spread in zip(self.groups, self.responses, self.spreads, strict=True):
             if each.fit is not None and each.fit.phased is not None:
-                phased = partial(phased_loops, group, each.fit.phased, each.mirrored)
+                phased = partial(phased_loops, group, each.fit.phased)
                 seen += phased(phased_corners(spread))
                 beside += phased(phased_places(spread, np.random.default_rng(PHASED_SEED)))
         return tuple(seen), beside

@@ -80,12 +80,7 @@ def phased_places(uncertainty: Uncertainty, rng: np.random.Generator) -> list[Pe
 def phased_loops(
     loops: Sequence[Loop],
     phased: PhasedModel,
-    mirrors: Sequence[bool],
     places: Sequence[Perturbation],
 ) -> list[Loop]:
     """All sensors' loops at the first place, then at the next ones."""
-    return [
-        phased_loop(loop, phased.mirrored() if mirror else phased, place)
-        for place in places
-        for loop, mirror in zip(loops, mirrors, strict=True)
-    ]
+    return [phased_loop(loop, phased, place) for place in places for loop in loops]

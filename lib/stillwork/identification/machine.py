@@ -12,7 +12,7 @@ from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.identification.frequency_response import Identified
 from stillwork.identification.machine_files import MachineFile
 from stillwork.identification.modal_fit import SUSPENDED, ModalFit, identify_modes
-from stillwork.lti.modal import ModalModel, mirrored
+from stillwork.lti.modal import ModalModel
 from stillwork.lti.reduction import truncate
 
 LEAST_LINES = 32  # of a band
@@ -39,7 +39,6 @@ class Machine:
     source: str  # where it comes from
     measured: Identified | None = None  # its accelerance at the first sensor, 1/kg, counted along the force
     fit: ModalFit | None = None  # of `measured`
-    mirrored: tuple[bool, ...] = (False,)  # by sensor: whether it is the assumed mirror image of the first
     notes: tuple[str, ...] = ()  # what was done to it, and what to mind
     units: tuple[str, str] = ("m", "N")  # of the position and of what drives it
 
@@ -118,7 +117,6 @@ def build_machine(
     *,
     modes_hz: list[float],
     fit_hz: tuple[float, float],
-    mirrored_sensor: bool,
     rigid: bool = False,
 ) -> Machine:
     """Fit a modal model to a measurement, or compute it from the matrices.
@@ -130,8 +128,6 @@ def build_machine(
         Where the fit starts; empty: found by `identify_modes`.
     fit_hz : tuple of float
         Band of the fit; (0, 0) for all that was measured.
-    mirrored_sensor : bool
-        Add a second sensor at which every flexible mode has the other sign, when the file has one sensor.
     rigid : bool
         Whether a machine without a flexible mode, or with none in the band, is taken as a rigid body, which may stand on
         springs; otherwise it is refused.
@@ -151,23 +147,13 @@ def build_machine(
     >>> free = {"M": np.diag([8.0, 2.0]), "K": [[1e6, -1e6], [-1e6, 1e6]], "input": [1.0, 0.0]}
     >>> np.savez("stage.npz", **free)
     >>> stage = identification.load_machine("stage.npz")
-    >>> machine = identification.build_machine(stage, modes_hz=[], fit_hz=(0, 0), mirrored_sensor=False)
+    >>> machine = identification.build_machine(stage, modes_hz=[], fit_hz=(0, 0))
     >>> round(machine.mass, 6), machine.resonances_hz.round(1)  # kg, Hz
     (10.0, array([125.8]))
     """
     if file.accelerance is None:
-        machine = _built(file, require_kind("file.model", file.model, ModalModel), rigid)
-    else:
-        machine = _fitted(file, file.accelerance, modes_hz, fit_hz, rigid)
-    if mirrored_sensor and len(machine.sensors) == 1:
-        only = machine.sensors[0]
-        if not only.rigid_modes:
-            raise InputError(
-                f"mirrored_sensor: {file.source} stands on springs to the ground, and what a sensor turned around "
-                "would measure of its suspension is unknown; leave mirrored_sensor out (false)"
-            )
-        machine = replace(machine, sensors=(only, mirrored(only)), mirrored=(False, True))
-    return machine
+        return _built(file, require_kind("file.model", file.model, ModalModel), rigid)
+    return _fitted(file, file.accelerance, modes_hz, fit_hz, rigid)
 
 
 def _fitted(
@@ -327,9 +313,7 @@ def _built(file: MachineFile, model: ModalModel, rigid: bool) -> Machine:
     notes = (TURNED,) if turned else ()
     if suspended:
         notes += (f"on springs to the ground: its suspension at {model.frequencies[0] / (2 * np.pi):.4g} Hz",)
-    return Machine(
-        sensors, masses[0], file.source, mirrored=(False,) * len(sensors), notes=notes, units=file.units
-    )
+    return Machine(sensors, masses[0], file.source, notes=notes, units=file.units)
 
 
 def _mass(model: ModalModel) -> float:

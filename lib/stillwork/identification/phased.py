@@ -9,7 +9,7 @@ from stillwork.base.checks import InputError
 from stillwork.base.validation import by_value, check_fields, checked
 from stillwork.lti.delays import split_delay
 from stillwork.lti.discretisation import late_modes
-from stillwork.lti.modal import ModalModel, mirrored
+from stillwork.lti.modal import ModalModel
 
 
 @by_value
@@ -39,10 +39,6 @@ class PhasedModel:
         model = self.model
         gains = model.output_shapes[0] * model.input_shapes[:, 0]
         return np.degrees(np.arctan2(self.velocity * model.frequencies * np.sign(gains), np.abs(gains)))
-
-    def mirrored(self) -> "PhasedModel":
-        """As a second sensor sees it, at which every flexible mode has the other sign."""
-        return PhasedModel(mirrored(self.model), -self.velocity)
 
     @checked
     def velocity_response(

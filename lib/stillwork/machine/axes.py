@@ -216,9 +216,7 @@ def _first_fitted(wanted: Wanted, found: list[Axes], new: Path, fit_hz: tuple[fl
                     arrays["coherence"] = unsure[:, k]
                 file = new / f"axis-{k + 1}.npz"
                 np.savez(file, **arrays)
-                machine = build_machine(
-                    load_machine(file), modes_hz=[], fit_hz=fit_hz, mirrored_sensor=False, rigid=True
-                )
+                machine = build_machine(load_machine(file), modes_hz=[], fit_hz=fit_hz, rigid=True)
                 if TURNED in machine.notes:
                     raise InputError(
                         "it moves against its force; turn the signs of its column of actuation, or of its row of sensing"

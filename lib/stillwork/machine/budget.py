@@ -388,7 +388,7 @@ def paint_budget(budget: ErrorBudget):
     """Density and backward cumulative spectrum of the error, by source."""
     figure, (left, right) = pictures.new(1, 2, height=3.2)
     f, smooth = budget.frequencies_hz, ~budget.is_tone
-    below = budget.cumulative(backward=True)[:, 0]
+    below = budget.cumulative()[:, 0]
     for number, (name, density) in enumerate(zip(budget.names, budget.density[:, 0], strict=True)):
         # By number, since a tone is drawn on the right alone.
         style = {"color": f"C{number}", "linewidth": 0.9, "label": pictures.literal(name)}
@@ -396,7 +396,7 @@ def paint_budget(budget: ErrorBudget):
             seen = smooth & (density > 0)  # where it is known
             left.loglog(f[seen], 1e9 * np.sqrt(density[seen]), **style)
         right.semilogx(f, 1e9 * np.sqrt(below[number]), **style)
-    whole = budget.cumulative(backward=True)[:, 0].sum(axis=0)
+    whole = budget.cumulative()[:, 0].sum(axis=0)
     right.semilogx(f, 1e9 * np.sqrt(whole), color=pictures.BLACK, linewidth=1.3, label="all")
     left.set(
         xlabel="frequency (Hz)", ylabel="error (nm/√Hz)", ylim=(1e-6 * max(left.get_ylim()[1], 1e-12), None)

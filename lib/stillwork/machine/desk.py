@@ -88,7 +88,7 @@ def read_machine(
     """The page's data of the machine in a file, see `entry`; without a model if none can be fitted to the measurement."""
     taken = load_machine(file, **load_options)
     try:
-        machine = build_machine(taken, modes_hz=[], fit_hz=fit_hz, mirrored_sensor=False)
+        machine = build_machine(taken, modes_hz=[], fit_hz=fit_hz)
     except InputError as error:
         if taken.accelerance is None:
             raise

@@ -261,7 +261,7 @@ def _machine(path: Path, arrays: dict[str, np.ndarray]) -> Iterator[str]:
         chosen = several[0] if len(several) > 1 else ""
         file = load_machine(path, response=chosen)
         if file.model is not None:
-            machine = build_machine(file, modes_hz=[], fit_hz=(0.0, 0.0), mirrored_sensor=False)
+            machine = build_machine(file, modes_hz=[], fit_hz=(0.0, 0.0))
             resonances = ", ".join(f"{hertz:.4g}" for hertz in machine.resonances_hz[:5])
             yield f"{kind} of a machine of {machine.mass:.4g} {machine.mass_unit}, first resonances at {resonances} Hz"
         else:

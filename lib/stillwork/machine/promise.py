@@ -88,7 +88,7 @@ def over_the_phases(
     for group, machine, spread in zip(groups, (made.machine, *made.others), made.spreads, strict=True):
         if machine.fit is None or machine.fit.phased is None or spread.is_empty:
             continue
-        for loop in phased_loops(group, machine.fit.phased, machine.mirrored, phased_places(spread, rng)):
+        for loop in phased_loops(group, machine.fit.phased, phased_places(spread, rng)):
             turns = encirclement_difference(loop, pid)
             controller = controllers[count % len(controllers)]
             worst = max(worst, np.inf if turns else float(np.abs(own_functions(loop, controller)).max()))

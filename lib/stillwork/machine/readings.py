@@ -114,7 +114,7 @@ def build_explained(
 ) -> Machine:
     """`build_machine`, with what it believes printed, and refused as by `require_explained`."""
     try:
-        machine = build_machine(file, modes_hz=[], fit_hz=fit_hz, mirrored_sensor=False, rigid=True)
+        machine = build_machine(file, modes_hz=[], fit_hz=fit_hz, rigid=True)
     except InputError:
         require_explained(path, file, None, fit_hz, options)
         raise

@@ -150,7 +150,7 @@ def _machine(source: Path, arrays, arguments) -> Iterator[str | tuple[str, str]]
                 raise Missing(name, f"{source.name} does not state the unit of the {whose} (e.g. {usual})")
     file = load_machine(source, **options)
     band = arguments.get("fit_hz", (0.0, 0.0))
-    machine = build_machine(file, modes_hz=[], fit_hz=band, mirrored_sensor=False, rigid=True)
+    machine = build_machine(file, modes_hz=[], fit_hz=band, rigid=True)
     print(believed(file, machine), file=sys.stderr, flush=True)
     known = f" ± {100 * NORMAL * machine.fit.mass_deviation:.2g} %" if machine.fit else ""
     modes = [f"{hertz:.4g}" for hertz in machine.resonances_hz]

@@ -208,9 +208,7 @@ def _changed_axes(closed: AxesLoops, about: Table) -> list[_Change]:
         seen = Identified(omega, inner[:, k, k], np.full(len(omega), np.nan))
         file = MachineFile("frequency response", closed.matrix.source, seen, units=tuple(named["units"]))
         try:
-            machine = build_machine(
-                file, modes_hz=[], fit_hz=closed.band_hz, mirrored_sensor=False, rigid=True
-            )
+            machine = build_machine(file, modes_hz=[], fit_hz=closed.band_hz, rigid=True)
         except InputError as error:
             changes.append(_Change(f"{named['name']}: model", "", "none", str(error), False))
             continue
@@ -246,7 +244,7 @@ def _measured_in_the_loop(designed: DesignedLoop, file: str, loop_hz, load_optio
 def _measured_machine(designed: DesignedLoop, file: str, fit_hz, loop_hz, load_options: Mapping) -> _Found:
     made, sample_time = designed.made, designed.loop.sample_time
     taken = load_machine(file, **load_options)
-    machine = build_machine(taken, modes_hz=[], fit_hz=fit_hz, mirrored_sensor=False, rigid=True)
+    machine = build_machine(taken, modes_hz=[], fit_hz=fit_hz, rigid=True)
     print(believed(taken, machine), file=sys.stderr, flush=True)
     if machine.mass_unit != made["mass_unit"]:
         raise InputError(
