@@ -37,6 +37,7 @@ from stillwork.machine.isolate import _kept_often, isolate_file, unmodelled
 from stillwork.machine.isolation import (
     POWERS,
     FeedforwardLoop,
+    FloorSpectra,
     Isolator,
     Mismatch,
     encirclements,
@@ -52,6 +53,7 @@ from stillwork.machine.isolation_design import (
     RATIOS,
     choose_beta,
     floor_spectra,
+    jitter_density,
     paths_through,
     try_loop,
 )
@@ -101,6 +103,29 @@ def test_weights_scatter_as_the_closed_form_of_two_first_order_signals(a, b):
         found = scatter(responses, steady, quadrature, floor, 0.0, 1.0, RATE, algorithm)
         assert found.drive.item() == pytest.approx(gain**2 * together, rel=1e-3)
         assert found.covariance.item() == pytest.approx(gain**2 * together / 2, rel=1e-3)
+
+
+@pytest.mark.parametrize("algorithm", ["FeRls", "FeLms"])
+@pytest.mark.parametrize("alike", [False, True])
+def test_weights_move_within_the_band_as_the_product_of_two_first_order_signals(algorithm, alike):
+    """Correlations a^k and b^k: their product has (a b)^k, and e = psi a square with 2 a^2k; both spectra are closed forms."""
+    a, b = 0.96, 0.96 if alike else 0.9
+    f = (np.arange(20_000) + 0.5) / 20_000 * RATE / 2
+    z = np.exp(-2j * np.pi * f / RATE)
+    one, noise = np.ones((len(f), 1, 1), complex), 1 / (1 - b * z)[:, None, None]
+    flat_, error = np.ones(len(f), complex), one if alike else noise
+    responses = Responses(f, alike * one, one / error, one, one, flat_, error, flat_)
+    density = (np.abs(1 / (1 - a * z)) ** 2)[:, None, None].astype(complex)
+    floor = FloorSpectra(f, np.full(len(f), f[1] - f[0]), density, 60.0, "", (1.0, 1.0))
+    noises = 0.0, 0.0 if alike else 1.0
+    steady = mean_adaptation(responses, floor.widths_hz, density, *noises, 0.0)
+    found = jitter_density(
+        responses, replace(steady, weights=0 * steady.weights), floor, noises, RATE, algorithm
+    )
+    at = np.array([1.0, 5.0, 20.0, 60.0])
+    product = (1 - (a * b) ** 2) / (1 - 2 * a * b * np.cos(2 * np.pi * at / RATE) + (a * b) ** 2)
+    wanted = (1 + alike) * 2 * RATE / (2 * np.pi) ** 2 * RATE / 2 / (1 - b**2) * product
+    assert np.interp(at, f, found[:, 0, 0].real) == pytest.approx(wanted, rel=0.02)
 
 
 # --------------------------------------------------------------------------------------------------------- certificate

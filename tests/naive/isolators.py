@@ -13,6 +13,7 @@ from scipy import linalg, signal
 
 FINE = 4  # steps of the plant within a sample of the loop: between these the floor runs straight
 DRIVER = """
+#include <string.h>
 #include "{name}.h"
 
 static long kept; /* samples in which weights were kept */
@@ -29,6 +30,11 @@ int simulate(long samples, int states, int late, int adapting, const double *a, 
     double next[256];
     unsigned flags = 0;
     s->adapting = adapting;
+    if (first == 0) {{ /* a library stays loaded, with the end of the last run */
+        memset(x, 0, sizeof x);
+        memset(ring, 0, sizeof ring);
+        kept = 0;
+    }}
     for (long k = 0; k < samples; k++) {{
         double in[I], read_floor[S], read_platform[A], command[A];
         for (int j = 0; j < S; j++)

@@ -19,6 +19,7 @@ from stillwork.estimation.mean_adaptation import (
     Responses,
     Scatter,
     Steady,
+    error_spectra,
     mean_adaptation,
     scatter,
     sum_kronecker,
@@ -46,9 +47,9 @@ GROWTH = 1e3  # of the guard's level, at most
 WITHIN = 1.1  # power of the remaining motion, over that once settled, at which weights count as settled
 FASTER = 1.05  # between time constants that are tried
 PERIODS = 3.0  # of the band's lower end that a time constant holds for each regressor: half of it leaves 5 % more motion
-# How much more than expected weights may move within the band: seen up to 7 times, with a lightly damped mode under
-# footfalls.
-JITTER = 5.0
+# How much more than expected weights may move within the band: seen 1.3 times, at an end of the box 1.9 times.
+JITTER = 2.0
+JITTER_HZ = 0.1  # between the lines on which that is computed
 LOWEST_HZ = 1.0  # from where the remaining motion is judged
 RATIOS = (0.0, 0.1, 0.2, 0.4, 0.7)  # relative damping that the skyhook adds, tried
 LOW_SHARE, HIGH_SHARE = 0.4, 8.0  # of the lowest and the highest mode, where the band begins and ends at most
@@ -219,7 +220,8 @@ def try_loop(
     moves = None
     if step is None:
         moves = scatter(responses, steady, widths, floor.density, *noises, loop.rate, algorithm)
-        added = _added_motion(responses, moves, floor, noises[0], loop.rate, inside, share)
+        force = jitter_density(responses, steady, floor, noises, loop.rate, algorithm)
+        added = _added_motion(responses, moves, force, floor, noises[0], loop.rate, inside, share)
         slowest = max(shortest, PERIODS * len(steady.correlation) / loop.shaping.highpass_hz)
         while slowest < BEYOND_S and not (
             added(slowest) <= variance * motion and mismatch.loop_gain(level, slowest) <= LIMIT
@@ -259,7 +261,7 @@ def try_loop(
 
 
 def _added_motion(
-    paths, moves: Scatter, floor: FloorSpectra, sensor_noise, rate, inside, share
+    paths, moves: Scatter, force: np.ndarray, floor: FloorSpectra, sensor_noise, rate, inside, share
 ) -> Callable[[float], float]:
     """Power that moving weights add, by the time constant.
 
@@ -272,9 +274,8 @@ def _added_motion(
     plain = psi @ seen @ np.conj(psi.transpose(0, 2, 1)) * widths
     driven = np.conj(paths.secondary.transpose(0, 2, 1)) @ paths.secondary
     slow = np.sum(sum_kronecker(driven[inside], plain[inside]) * moves.covariance)
-    force = jitter_density(moves, plain.sum(axis=0).real, rate)
     f = paths.frequencies_hz
-    fast = np.sum(driven.real * force * widths / f[:, None, None] ** 2, axis=(1, 2))[inside]
+    fast = (np.einsum("fab,fba->f", driven, force).real * floor.widths_hz / f**2)[inside]
     f = f[inside]
 
     def added(time_constant):
@@ -334,12 +335,42 @@ def settling_time(design: IsolationDesign, floor: FloorSpectra) -> float:
     return float(optimize.brentq(more, 0.0, longest, rtol=1e-3)) + design.loop.smoothing
 
 
-def jitter_density(moves: Scatter, power: np.ndarray, rate: float) -> Float64[np.ndarray, "axes axes"]:
-    """Density of the force by weights that move within the band, times f^2 and per step squared."""
-    n = len(power)
-    axes = len(moves.drive) // n
-    each = np.einsum("aibj,ij->ab", moves.drive.reshape(axes, n, axes, n), power)
-    return 2 * rate / (2 * np.pi) ** 2 * each
+def jitter_density(
+    paths: Responses,
+    steady: Steady,
+    floor: FloorSpectra,
+    noises: tuple[float, float],
+    rate: Positive,
+    algorithm: Annotated[str, one_of(ALGORITHMS)],
+) -> Complex128[np.ndarray, "frequencies axes axes"]:
+    """Density of the force by weights that move within the band, times f^2 and per step squared.
+
+    They follow the products of error and filtered regressors, whose correlation over time is that of Gaussian signals; a line
+    in both moves the weights by its distance to every other frequency. The regressors that they then weigh count as slow.
+    """
+    f = paths.frequencies_hz
+    own, mixed = error_spectra(paths, steady.weights, floor.density, *noises)
+    shaped = paths.shaping[:, None, None] * paths.regressors
+    seen = floor.density + noises[0] ** 2 * np.eye(floor.density.shape[1])
+    power, filtered = (each @ seen @ np.conj(each.transpose(0, 2, 1)) for each in (paths.regressors, shaped))
+    inverse = np.linalg.inv(steady.correlation)
+    if algorithm == "FeLms":
+        inverse = np.eye(len(inverse)) / np.trace(steady.correlation)
+    weighs = inverse @ np.einsum("f,fij->ij", floor.widths_hz, power).real @ inverse
+    lines = np.arange(0.0, f[-1], JITTER_HZ)
+    count = 4 * len(lines)  # so long that what is above the last line does not fold
+
+    def over_time(density: np.ndarray) -> np.ndarray:
+        each = density.reshape(len(f), -1).T
+        rows = np.array([np.interp(lines, f, row, left=0.0) for row in each])
+        return np.fft.irfft(rows, count).reshape(*density.shape[1:], -1)
+
+    total = over_time(own) * over_time(np.einsum("ij,fji->f", weighs, filtered))
+    cross = over_time(mixed)
+    back = np.roll(cross[..., ::-1], 1, axis=-1)
+    total += np.einsum("ait,bit->abt", np.einsum("ajt,ij->ait", cross, weighs), back)
+    spectrum = np.fft.rfft(total)[..., : len(lines)] * rate**2 * count * JITTER_HZ / (2 * (2 * np.pi) ** 2)
+    return np.array([[np.interp(f, lines, row) for row in rows] for rows in spectrum]).transpose(2, 0, 1)
 
 
 @by_value

@@ -128,14 +128,16 @@ class _MovingWeights(NamedTuple):
     covariance: np.ndarray  # of the weights as they wander
     plain: np.ndarray  # density of the regressors, (frequencies, regressors, regressors)
     power: np.ndarray  # of them
-    force: np.ndarray  # density of the force by weights that move within the band, times f^2
+    force: (
+        np.ndarray
+    )  # density of the force by weights that move within the band, times f^2: (frequencies, axes, axes)
     shape: tuple[int, int]  # of the weights
     smoothing: float  # s
 
     def jitter(self, paths: MovingPaths) -> np.ndarray:
         """Density of the motion by weights that move within the band, (axes, frequencies)."""
         through = paths.seen.secondary
-        each = np.einsum("fab,bc,fac->af", through, self.force, np.conj(through))
+        each = np.einsum("fab,fbc,fac->af", through, self.force, np.conj(through))
         return each.real / (
             self.frequencies_hz**2 * (1 + (2 * np.pi * self.frequencies_hz * self.smoothing) ** 2)
         )
@@ -159,13 +161,15 @@ def _moving_weights(design: IsolationDesign, floor: FloorSpectra) -> _MovingWeig
     psi = design.paths.seen.regressors
     plain = np.einsum("fis,fst,fjt->fij", psi, seen, np.conj(psi), optimize=True)
     power = np.einsum("f,fij->ij", floor.widths_hz, plain).real
-    force = design.step**2 * floor.bursts[1] * jitter_density(design.scatter, power, design.loop.rate)
+    algorithm = type(design.settings).__name__
+    noises = design.isolator.floor_noise, design.isolator.platform_noise
+    force = jitter_density(design.paths.seen, design.steady, floor, noises, design.loop.rate, algorithm)
     return _MovingWeights(
         floor.frequencies_hz,
         covariance,
         plain,
         power,
-        force,
+        design.step**2 * floor.bursts[1] * force,
         design.steady.weights.shape,
         design.loop.smoothing,
     )
