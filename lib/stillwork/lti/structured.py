@@ -37,8 +37,6 @@ class GainProof:
     level : float
     omega : float, optional
         A frequency at which no proof was found, rad/s.
-    intervals : int
-        Of frequency, each with scalings of its own, that the proof took.
 
     Examples
     --------
@@ -50,7 +48,6 @@ class GainProof:
     proven: bool
     level: float
     omega: float | None
-    intervals: int
 
     def __post_init__(self):
         check_fields(self)
@@ -115,15 +112,15 @@ def prove_gain(model: StateModel, uncertain: Natural, level: Positive) -> GainPr
         low, high = (at, at) if weights is None else _valid(slow, weights, at)
         if weights is None or low > proven_to:  # it does not reach back to what is proven
             if step < LEAST_STEP or at <= proven_to:
-                return GainProof(False, level, at * rate, intervals)
+                return GainProof(False, level, at * rate)
             step /= 4
         else:
             proven_to, intervals = max(high, proven_to), intervals + 1
             if proven_to == np.inf:
-                return GainProof(True, level, None, intervals)
+                return GainProof(True, level, None)
             step = min(2 * step, STEP)
         at = max(proven_to, least) * (1 + step) if proven_to else least * step
-    return GainProof(False, level, at * rate, intervals)
+    return GainProof(False, level, at * rate)
 
 
 def _scalings(response: np.ndarray, level: float, n: int) -> tuple[np.ndarray, np.ndarray, float] | None:

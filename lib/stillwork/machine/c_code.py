@@ -77,21 +77,35 @@ def controller_code(controller: DigitalController, name: str, precision: str = "
     write = Numbers(name, precision)
     single = precision == "single"
     controller = in_single_precision(controller).controller if single else without_dead_states(controller)
+    commands, changes, start = _steps(write, controller)
+    late, text = controller.delay, commands + changes
+    marks = {
+        "x": len(controller.model.a),
+        "d": late,
+        "n": not late,
+        "m": controller.motion,
+        **{mark: f" {mark}[" in text for mark in "efw"},
+        **{mark: f" {mark.lower()}[" in start for mark in "EF"},
+    }
+    steps = {"start": start, "commands": commands, "changes": changes.rstrip()}
+    values = _facts(write, controller, precision) | steps
+    if controller.motion is None:
+        return write.files("controller", name, values, marks)
+    values["designed"] += _lines(_designed_motion(write, controller.motion))
+    values["halvings"] = HALVINGS
+    moving = write.files("motion", f"{name}_motion", values, marks)
+    return write.files("controller", name, values, marks) | moving
+
+
+def _steps(write: "Numbers", controller: DigitalController) -> tuple[str, str, str]:
+    """Lines in C of the commands, of what they change in the states, and of the states that a start in rest has."""
     m, n = controller.model, len(controller.inputs)
     states, outputs = len(m.a), len(controller.outputs)
-    sums = kept_states(controller)
-    winds = bool(controller.anti_windup.any())
-    rows = np.hstack([m.a - np.diag(sums.astype(float)), m.b])
+    rows = np.hstack([m.a - np.diag(kept_states(controller).astype(float)), m.b])
     names = {"x": states, "e": n, "f": controller.fed_back}
-    if winds:
+    if controller.anti_windup.any():
         rows, names = np.hstack([rows, controller.anti_windup]), names | {"w": outputs}
     across = [f"{each}[{k}]" for each, count in names.items() for k in range(count)]
-    limits = [
-        [write(end) if np.isfinite(end) else ("-INFINITY" if end < 0 else "INFINITY") for end in ends]
-        for ends in (controller.low, controller.high)
-    ]
-    ones = [write(1)] * n
-    designed = [f"{{{', '.join(each)}}}," for each in (ones, *limits)] + [f"{controller.patience},"]
     commands = _lines(
         f"v[{k}] = {write.terms(row, across[: states + n])};"
         for k, row in enumerate(np.hstack([m.c, m.d[:, :n]]))
@@ -101,42 +115,37 @@ def controller_code(controller: DigitalController, name: str, precision: str = "
     start = _lines(
         (f"s->state[{k}] = {write.terms(row, into)};" for k, row in enumerate(controller.start)), 8
     )
-    late, text = controller.delay, commands + changes
-    marks = {
-        "x": states,
-        "d": late,
-        "n": not late,
-        "m": controller.motion,
-        **{mark: f" {mark}[" in text for mark in "efw"},
-        **{mark: f" {mark.lower()}[" in start for mark in "EF"},
-    }
-    values = {
-        "title": f"{name}: {pluralise(states, 'state')}, {1 / m.sample_time:g} samples a second, {precision} precision.",
+    return commands, changes, start
+
+
+def _facts(write: "Numbers", controller: DigitalController, precision: str) -> dict:
+    """Names, sizes, limits and units for the templates."""
+    m, n, late = controller.model, len(controller.inputs), controller.delay
+    states = len(m.a)
+    limits = [
+        [write(end) if np.isfinite(end) else ("-INFINITY" if end < 0 else "INFINITY") for end in ends]
+        for ends in (controller.low, controller.high)
+    ]
+    ones = [write(1)] * n
+    designed = [f"{{{', '.join(each)}}}," for each in (ones, *limits)] + [f"{controller.patience},"]
+    return {
+        "title": f"{write.name}: {pluralise(states, 'state')}, {1 / m.sample_time:g} samples a second, {precision} precision.",
         "signals": "\n   ".join(
             [f"in[{k}]: {_comment(text)}" for k, text in enumerate(controller.inputs)]
             + [f"out[{k}]: {_comment(text)}" for k, text in enumerate(controller.outputs)]
         ),
         "inputs": n,
-        "outputs": outputs,
+        "outputs": len(controller.outputs),
         "states": states,
         "delay": late,
         "sample_time": repr(m.sample_time),
         "late": f", {pluralise(late, 'sample')} late" if late else "",
         "designed": _lines(designed),
-        "keeps": ", ".join(write(each) for each in sums),
+        "keeps": ", ".join(write(each) for each in kept_states(controller)),
         "zero": write(0),
-        "start": start,
-        "commands": commands,
-        "changes": changes.rstrip(),
         "position": _unit(controller.inputs[0]),
         "force": _unit(controller.outputs[0]),
     }
-    if controller.motion is None:
-        return write.files("controller", name, values, marks)
-    values["designed"] += _lines(_designed_motion(write, controller.motion))
-    values["halvings"] = HALVINGS
-    moving = write.files("motion", f"{name}_motion", values, marks)
-    return write.files("controller", name, values, marks) | moving
 
 
 def _designed_motion(write: "Numbers", motion: Motion) -> list[str]:

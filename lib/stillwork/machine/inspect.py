@@ -232,21 +232,13 @@ def _record(path: Path) -> Iterator[str]:
 
 def _machine(path: Path, arrays: dict[str, np.ndarray]) -> Iterator[str]:
     """The commands for a machine; nothing if no name in the file belongs to one."""
-    from stillwork.identification.machine import build_machine
-    from stillwork.identification.machine_files import (
-        complex_responses,
-        kind_of,
-        load_machine,
-        response_names,
-        stated_units,
-    )
+    from stillwork.identification.machine_files import complex_responses, kind_of, load_machine
     from stillwork.identification.matrix_files import load_matrix
 
     try:
         kind = kind_of(arrays)
     except InputError:
         return
-    settings: dict[str, Any] = {"machine_file": path.resolve()}
     with contextlib.suppress(InputError):
         if matrix := load_matrix(path):
             outputs, inputs = len(matrix.outputs), len(matrix.inputs)
@@ -260,23 +252,13 @@ def _machine(path: Path, arrays: dict[str, np.ndarray]) -> Iterator[str]:
         several = list(complex_responses(arrays)) if kind == "frequency response" else []
         chosen = several[0] if len(several) > 1 else ""
         file = load_machine(path, response=chosen)
-        if file.model is not None:
-            machine = build_machine(file, modes_hz=[], fit_hz=(0.0, 0.0))
-            resonances = ", ".join(f"{hertz:.4g}" for hertz in machine.resonances_hz[:5])
-            yield f"{kind} of a machine of {machine.mass:.4g} {machine.mass_unit}, first resonances at {resonances} Hz"
-        else:
-            hertz = file.accelerance.omega / (2 * np.pi)
-            yield f"{kind} of a machine: {pluralise(len(hertz), 'line')} from {hertz[0]:.4g} to {hertz[-1]:.4g} Hz"
-            response, force = stated_units(response_names(arrays))
-            settings |= {"response_unit": response or "UNIT", "force_unit": force or "N"}
-            if not response:
-                yield "the unit of the response is not stated; replace UNIT by m/s^2, g, m/s, mm/s, m, mm or um"
-            settings |= {"fit_hz": "0,0", "loop_hz": "0,0"}
-            if chosen:
-                settings["response"] = chosen
+        settings, said = _of_machine(path, arrays, kind, file)
     except InputError as error:
         yield f"not usable as a machine: {error}"
         return
+    yield from said
+    if chosen and file.model is None:
+        settings["response"] = chosen
     words = [str(path.resolve())]
     for name in ("response_unit", "force_unit", "response"):
         if settings.get(name):
@@ -288,6 +270,30 @@ def _machine(path: Path, arrays: dict[str, np.ndarray]) -> Iterator[str]:
         yield _isolate(str(path.resolve()), "FLOOR")
     yield command("a loop shaped by hand", ["desk", *words])
     yield figures_command("motion/29-your-machine", settings)
+
+
+def _of_machine(
+    path: Path, arrays: dict[str, np.ndarray], kind: str, file: Any
+) -> tuple[dict[str, Any], list[str]]:
+    """Settings of a page about a machine, and what it is."""
+    from stillwork.identification.machine import build_machine
+    from stillwork.identification.machine_files import response_names, stated_units
+
+    settings: dict[str, Any] = {"machine_file": path.resolve()}
+    if file.model is not None:
+        machine = build_machine(file, modes_hz=[], fit_hz=(0.0, 0.0))
+        resonances = ", ".join(f"{hertz:.4g}" for hertz in machine.resonances_hz[:5])
+        what = f"{kind} of a machine of {machine.mass:.4g} {machine.mass_unit}, first resonances at {resonances} Hz"
+        return settings, [what]
+    hertz = file.accelerance.omega / (2 * np.pi)
+    said = [f"{kind} of a machine: {pluralise(len(hertz), 'line')} from {hertz[0]:.4g} to {hertz[-1]:.4g} Hz"]
+    response, force = stated_units(response_names(arrays))
+    settings |= {"response_unit": response or "UNIT", "force_unit": force or "N"}
+    if not response:
+        said.append(
+            "the unit of the response is not stated; replace UNIT by m/s^2, g, m/s, mm/s, m, mm or um"
+        )
+    return settings | {"fit_hz": "0,0", "loop_hz": "0,0"}, said
 
 
 def _plant(path: Path) -> Iterator[str]:

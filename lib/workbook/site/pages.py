@@ -128,7 +128,6 @@ class NotebookPage:
     parameters: tuple[tuple[str, str, str, str], ...]  # name, type, published value, comment
     functions: tuple[str, ...]
     provenance: dict = field(default_factory=dict)
-    fresh: bool = False  # its outputs come from a build of what it holds now
 
     @property
     def name(self) -> str:
@@ -218,7 +217,6 @@ def read_page(task: Task, claims: list[Claim], start: bytes = b"") -> NotebookPa
         ),
         tuple(notebook_source.used([_text(cell) for cell in raw if cell["cell_type"] == "code"])),
         json.loads(record.read_text(encoding="utf-8")) if record.is_file() else {},
-        fresh,
     )
 
 
