@@ -209,7 +209,7 @@ def paint_box(size: float):
         at, stable = floors + 0.2 * (k - 1.5), whole[k, ~gone]
         axes.vlines(at, stable.min(axis=0), stable.max(axis=0), color=colour, linewidth=3, alpha=0.5)
         axes.plot(at, whole[k, 0], mark, color=colour, markersize=4.5, linestyle="none", label=design)
-        axes.plot(at, whole[k, gone].T, "x", color=colour, markersize=5, label="_where another is unstable")
+        axes.plot(at, whole[k, gone].T, "x", color=colour, markersize=5, label=f"{design}, another unstable")
     if gone.any():
         label = f"stable ones, where another\nis not ({gone.sum()} of {len(gone) - 1} places)"
         axes.plot([], [], "kx", markersize=5, label=label)
@@ -225,5 +225,6 @@ def paint_box(size: float):
         xlabel=f"floor (mark: nominal stage; bar: places of the box of {100 * size:g} % where all are stable)",
         xlim=(-0.6, len(FLOORS) - 0.4),
     )
-    axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0))
+    shown = [each for each in axes.get_legend_handles_labels()[0] if "another unst" not in each.get_label()]
+    axes.legend(handles=shown, loc="upper left", bbox_to_anchor=(1.01, 1.0))
     return figure

@@ -305,6 +305,7 @@ def paint_tuning(study: dict[tuple[str, float], list[Tuning]]):
         exponent = str(round(np.log10(noise))).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
         panel.set(title=f"floor sensor 10{exponent} m/s²/√Hz", ylim=(0.7 * LEAST_DRAWN, None))
     axes[0].set_ylabel("power left above the least,\nover the least")
+    axes[1].set_xlabel("floor (a dot: one record of a minute)")
     figures.legend_below(axes[0], 2)
     return figure
 

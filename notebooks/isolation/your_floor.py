@@ -252,7 +252,7 @@ def paint_floor(floor: FloorSpectra):
     left.set(xlabel="frequency (Hz)", ylabel="floor acceleration (m/s²/√Hz)")
     left.legend()
     right.set(xlabel="one-third-octave band (Hz)", ylabel="rms velocity (m/s)")
-    right.set(xlim=(0.3, 600), ylim=(low / 3, high * 3))
+    right.set(xlim=(0.3, 600), ylim=(low / 2.5, high * 3))
     return figure
 
 

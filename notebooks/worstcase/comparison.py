@@ -422,19 +422,19 @@ def paint_min_max(names: list[str], errors: np.ndarray):
     """Min-max's error over that of the best in every cell, a row a setting, a column an excitation; framed: equal, dots: open."""
     number = list(METHODS).index("min_max")
     values, equal, worse = (of(errors)[..., number] for of in (over_best, equal_to_best, worse_than_best))
-    return _paint_cells(
-        names, EXCITATIONS, values, {"equal to the best": ("s", equal), "open": (".", ~(equal | worse))}
-    )
+    marks = {"equal to the best": ("s", equal), "open": (".", ~(equal | worse))}
+    return _paint_cells("min-max's error over that of the best", names, EXCITATIONS, values, marks)
 
 
 def paint_map(names: list[str], errors: np.ndarray):
     """Largest error over that of the best, of the excitations, a row a setting; framed: the smallest of a row."""
     largest = over_best(errors).max(axis=1)
     smallest = largest == largest.min(axis=1, keepdims=True)
-    return _paint_cells(names, METHODS.values(), largest, {"smallest of the row": ("s", smallest)})
+    title = "error over that of the best; a square: the worst of four cells, one an excitation"
+    return _paint_cells(title, names, METHODS.values(), largest, {"smallest of the row": ("s", smallest)})
 
 
-def _paint_cells(names, columns, values: np.ndarray, marks: dict):
+def _paint_cells(title: str, names, columns, values: np.ndarray, marks: dict):
     from matplotlib.colors import BoundaryNorm
 
     few = len(columns) < 8
@@ -454,6 +454,7 @@ def _paint_cells(names, columns, values: np.ndarray, marks: dict):
     axes.set_yticks(at[1], names)
     axes.set(ylim=(len(names) - 0.5, -0.5), xlabel="excitation" if few else "method")
     axes.grid(visible=False)
+    axes.set_title(title)
     # Beside few rows there is no height for the whole label.
     axes.set_ylabel("what is wrong (noise: input, output)" if len(names) > 8 else "what is wrong")
     figure.legend(loc="outside upper center", ncols=len(marks), markerscale=0.5)
