@@ -109,9 +109,7 @@ def ranking_values(
         for name, obeyed in said.figure_statements(study, size, kind).items():
             found[f"fixedpoint.fig-{name}"] = obeyed.mean()
     for form, name in FORMS:
-        found[f"fixedpoint.section-4.kalman-worst.{form}"] = said.pooled(studies, name)[
-            said.KALMAN_WORST
-        ].mean()
+        found[f"fixedpoint.section-4.kalman-worst.{form}"] = pooled(studies, name)[said.KALMAN_WORST].mean()
     offsets = {"fig-14.offset-q": "position_shift", "fig-15.offset-dq": "velocity_shift"}
     for claim, quantity in offsets.items():
         shift = np.abs(studies["large logistic"][LITERAL][quantity]) / SAMPLE_TIME
