@@ -605,7 +605,7 @@ def paint_designs(nominal: Mapping[str, Judged], published: Judged, floor: float
     for axis, numbers in ((left, "error"), (right, "left")):
         values = [1e9 * getattr(rows[name], numbers)[0] for name in names]
         axis.plot(values, range(len(names)), "o", color=figures.BLUE, label="design")
-    left.set_yticks(range(len(names)), [name.replace("%", " %") for name in names], fontsize=7)
+    left.set_yticks(range(len(names)), names, fontsize=7)
     left.axvline(1e9 * floor, color=figures.BLACK, label="noise floor")
     limit = f"limit of the searches named by it, {1e9 * LEFT_LIMIT:g} nm/N"
     right.axvline(1e9 * LEFT_LIMIT, color=figures.BLACK, linestyle=":", label=limit)
@@ -628,9 +628,9 @@ def paint_peaks_over_plants(judged: Mapping[str, Mapping[str, Judged]]):
             note = f"{100 * np.mean(~found.stable):.0f} %\nunstable"
             axis.annotate(note, (place, TOP_DB + 0.8), ha="center", fontsize=6)
         mark_limit(axis)
-        names = [name.replace(" ", "\n", 1).replace(", ", ",\n").replace("%", " %") for name in designs]
+        names = [name.replace(" ", "\n", 1).replace(", ", ",\n") for name in designs]
         axis.set_xticks(range(len(designs)), names, fontsize=6)
-        axis.set(ylim=(0, TOP_DB + 4), title=title.replace("%", " %"), xlabel="design")
+        axis.set(ylim=(0, TOP_DB + 4), title=title, xlabel="design")
     axes[0, 0].set_ylabel(f"largest peak (dB), cut at {TOP_DB:g}")
     dot, limit = axes[0, 0].lines[0], axes[0, 0].lines[-1]
     figure.legend([dot, limit], ["one stage", "limit, 6 dB"], loc="outside lower center", ncols=2)

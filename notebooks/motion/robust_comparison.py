@@ -579,7 +579,7 @@ def paint_cases(ahead: Mapping[tuple[str, bool], np.ndarray]):
     )
     for (row, column), value in np.ndenumerate(share):
         colour = "white" if abs(value - 0.5) > 0.35 else "black"
-        axis.text(column, row, f"{value:.0%}", ha="center", va="center", color=colour)
+        axis.text(column, row, f"{100 * value:.0f} %", ha="center", va="center", color=colour)
     meant = list(LAWS).index("ends")
     axis.plot(
         [meant, meant],
