@@ -90,10 +90,19 @@ def added_damping(
     """Damping ratio that feedback adds to each flexible mode, and the shift of its frequency as a part of it.
 
     The poles of each mode are the ones nearest to where they were without feedback.
+
+    Raises
+    ------
+    InputError
+        Where a mode no longer oscillates.
     """
     upper = system.poles[system.poles.imag > 0]
     rigid = plant.rigid_modes
     before = plant.poles[rigid : len(plant.frequencies)]
+    if len(upper) < len(before):
+        raise InputError(
+            "a damped mode no longer oscillates, so no damping ratio is added to it; lower the increase"
+        )
     _, chosen = linear_sum_assignment(np.abs(upper[None, :] - before[:, None]))
     after = upper[chosen]
     return -after.real / np.abs(after) - plant.damping[rigid:], np.abs(after) / plant.frequencies[rigid:] - 1
