@@ -193,22 +193,6 @@ def error_spectra(
     return own.astype(complex), ((driven + heard) @ _hermitian(shaped)).astype(complex)
 
 
-@by_value
-@dataclass(frozen=True)
-class Scatter:
-    """How weights move about the fixed point under a slow adaptation of one unit of step: 1 - lambda, or mu.
-
-    The step of FeLMS is that of the trace over the regressors.
-    """
-
-    # C O C' of v+ = v - step (B v + C xi): xi = e psi_N' about its mean, O the sum of its correlations over all lags
-    drive: Float64[np.ndarray, "modes modes"]
-    covariance: Float64[np.ndarray, "modes modes"]  # S of B S + S B' = C O C'
-
-    def __post_init__(self):
-        check_fields(self)
-
-
 @checked
 def scatter(
     paths: Responses,
@@ -219,8 +203,12 @@ def scatter(
     platform_noise: NonNegative,
     sample_rate: Positive,
     algorithm: Annotated[str, one_of(ALGORITHMS)] = "FeRls",
-) -> Scatter:
-    """Scatter of the weights of `FeRls` or `FeLms` on Gaussian signals, of which O is a sum over frequency."""
+) -> Float64[np.ndarray, "modes modes"]:
+    """Covariance of the weights about the fixed point, for one unit of a small step: 1 - lambda of `FeRls`, mu of `FeLms`.
+
+    It is S of B S + S B' = C O C', from v+ = v - step (B v + C xi) with xi = e psi_N' about its mean, of whose correlations O is
+    the sum over all lags: on Gaussian signals a sum over frequency. The step of FeLMS is that of the trace over the regressors.
+    """
     own, mixed = error_spectra(paths, steady.weights, floor, sensor_noise, platform_noise)
     shaped = paths.shaping[:, None, None] * paths.regressors
     seen = floor + sensor_noise**2 * np.eye(floor.shape[1])
@@ -237,7 +225,7 @@ def scatter(
         trace = np.trace(steady.correlation)
         moves, total = steady.update / trace, total / trace**2
     found = linalg.solve_continuous_lyapunov(moves, total)
-    return Scatter(total, (found + found.T) / 2)
+    return (found + found.T) / 2
 
 
 def _hermitian(matrices: np.ndarray) -> np.ndarray:

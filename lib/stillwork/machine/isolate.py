@@ -45,7 +45,7 @@ from stillwork.machine.isolation_design import (
     design_isolation,
     floor_spectra,
 )
-from stillwork.machine.isolation_prediction import IsolationPrediction, predict, with_noise
+from stillwork.machine.isolation_prediction import IsolationPrediction, predict, with_noise, worst_excess
 from stillwork.machine.machine_toml import KNOWN, open_machine_toml, own_table, suspended
 from stillwork.machine.path_fit import PathFit, fit_path
 from stillwork.machine.replay import Replay, paint_replay, replay_rows, require_kept
@@ -214,6 +214,7 @@ class _Made(NamedTuple):
     files: dict[str, str]
     found: IsolationPrediction
     settling: tuple[float, float]  # s: nominal, and at most in the box
+    excess: tuple[float, float]  # of weights that do not move; see `worst_excess`
     run: Replay | None  # of the floor's record, as `learning`
     learning: Learning | None
 
@@ -222,12 +223,22 @@ class _Made(NamedTuple):
         loop = replace(self.design.loop, clearing=False)
         return self._replace(files=_written(replace(self.design, loop=loop), limit, name, precision))
 
+    def remainder(self) -> str:
+        """What settled weights leave more than the best ones."""
+        moves = max(self.design.variance, self.learning.excess if self.learning else 0.0)
+        given, worst = (f"{100 * ((1 + each) * (1 + moves) - 1):.3g} %" for each in self.excess)
+        return (
+            f"and move leave {given} more power than the best frozen ones on the isolator as given, {worst} at the worst end of its "
+            "box, expected of the floor's spectra"
+        )
+
     def facts(self, spectra: FloorSpectra, limit: float) -> list[list[str]]:
         """What was chosen, and what follows."""
         shown = self.learning.sentence() if self.learning else "on a floor whose strength is even"
         return [
             *facts_of(self.design, self.found, spectra),
             ["settling from zero weights", _settling_words(self.settling, shown)],
+            ["weights that have settled", self.remainder()],
             ["limit of each force", f"{limit:g} N" if np.isfinite(limit) else "none: give --limit"],
         ]
 
@@ -252,7 +263,8 @@ def _made(
     if spectra.record is None:
         found, times = predict(design, around, spectra, correction), settling_times(design, around, spectra)
         require_force(found, limit)
-        return _Made(design, around, written(design), found, times, None, None)
+        excess = worst_excess(design, spectra, spread, correction)
+        return _Made(design, around, written(design), found, times, excess, None, None)
     steps: dict = {
         "name": name,
         "limit": limit,
@@ -266,7 +278,8 @@ def _made(
     found = with_noise(predict(design, around, spectra, correction), run.noise)
     require_force(found, limit)
     require_kept(run, found)
-    return _Made(design, around, files, found, learning.settled, run, learning)
+    excess = worst_excess(design, spectra, spread, correction)
+    return _Made(design, around, files, found, learning.settled, excess, run, learning)
 
 
 def _pause(design: IsolationDesign) -> float:
@@ -288,6 +301,7 @@ def _about(machine: str, made: _Made, spectra: FloorSpectra) -> dict:
         "floor": spectra.source,
         "rate_hz": made.design.loop.rate,
     } | _record_of(made.design, made.found)
+    about["excess"] = list(made.excess)
     about["settling_s"] = [each if np.isfinite(each) else None for each in made.settling]
     if made.run and made.learning:
         about["replay"] = made.run.record() | {"settling": made.learning.record()}
@@ -311,6 +325,7 @@ def _answer(source: str, made: _Made, spectra: FloorSpectra, spread: float) -> l
     design, found, settling = made.design, made.found, made.settling[1]
     loop, rows = design.loop, remains_rows(found, spectra)
     columns = [", ".join(row[k] for row in rows) for k in (1, 4, 5, 6)]
+    least = f"at least {columns[1]}; " if found.remains[0].all() else ""
     settles = f"settled from zero weights in {settling:.3g} s at most"
     if settling == 0:
         settles = "for which zero weights are as good"
@@ -319,9 +334,10 @@ def _answer(source: str, made: _Made, spectra: FloorSpectra, spread: float) -> l
         f"{source}: {type(design.settings).__name__} at {loop.shaping.highpass_hz:.3g} to {loop.shaping.lowpass_hz:.4g} Hz with a "
         f"time constant of {design.time_constant:.3g} s, {settles}, and a skyhook of "
         f"{loop.gain:.3g} N s/m",
-        f"it leaves at most {columns[2]} m/s^2 rms (at least {columns[1]}; {columns[0]} without control) at {found.band_hz[0]:g} to "
+        f"it leaves at most {columns[2]} m/s^2 rms ({least}{columns[0]} without control) at {found.band_hz[0]:g} to "
         f"{found.band_hz[1]:.4g} Hz, at all {ENDS + DRAWS} isolators tried within {100 * spread:g} %: {columns[3]}; commands reach at most "
         f"{_listed(found.force[2])} N{_kept_often(made.run)}",
+        f"weights that have settled {made.remainder()}",
     ]
 
 
@@ -738,7 +754,8 @@ def at_sensors(spectra: FloorSpectra, sensors: int, notes: list[str]) -> FloorSp
         record = spectra.record
         if record is not None:  # each sensor at another time of it
             record = np.array([np.roll(record[0], k * (record.shape[1] // sensors)) for k in range(sensors)])
-        spectra = replace(spectra, density=spectra.density * np.eye(sensors), record=record)
+        drift = None if spectra.drift is None else np.repeat(spectra.drift, sensors)
+        spectra = replace(spectra, density=spectra.density * np.eye(sensors), record=record, drift=drift)
     elif channels != sensors:
         raise InputError(
             f"{spectra.source} holds {pluralise(channels, 'channel')}, the isolator has {pluralise(sensors, 'floor sensor')}; "
@@ -815,7 +832,7 @@ def remains_rows(found: IsolationPrediction, floor: FloorSpectra) -> list[list[s
         if f[-1] > 90:
             name = criterion_met(*one_third_octave_velocity(f, found.density[k] * (high / expected) ** 2))
         values = (found.without[k], found.feedback[k], expected, low, high)
-        rows.append([str(k + 1), *(f"{value:.3g}" for value in values), name])
+        rows.append([str(k + 1), *(f"{value:.3g}" if value else "unknown" for value in values), name])
     return rows
 
 

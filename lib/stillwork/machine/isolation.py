@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 from jaxtyping import Complex128, Float64
-from scipy import linalg, signal, special
+from scipy import linalg, signal, special, stats
 
 from stillwork.base.bounds import Count, Natural, NonNegative, Positive
 from stillwork.base.checks import InputError, require_array, require_number
@@ -30,6 +30,9 @@ IMAGES = 20  # of a sampled response at multiples of the rate, on either side
 # Of a step, that counts as nothing: an offset may be a million times the motion in band (chosen).
 SETTLED = 1e-8
 ORDER, POWERS = 3, 2  # of the weak integrator, and how often it is applied
+HIGHEST = (
+    0.99  # probability that another stretch as long as the record stays below what is called the highest
+)
 SMOOTHING = 5.0  # time constant of the adaptation over that of the smoothing (chosen)
 
 
@@ -293,9 +296,10 @@ class FloorSpectra:
     # E[p^2] / E[p]^2 and E[p^3] / E[p]^3 of the power p of half a second: 1 of a floor that keeps its strength
     bursts: tuple[float, float]
     record: Float64[np.ndarray, "sensors samples"] | None = (
-        None  # m/s^2, from which they were estimated; from rest to rest
+        None  # m/s^2, from which they were estimated; from rest to rest, without drift
     )
     record_hz: NonNegative = 0.0  # its sample rate
+    drift: Float64[np.ndarray, " sensors"] | None = None  # m/s^3, of the record's sensors
 
     def __post_init__(self):
         check_fields(self)
@@ -371,9 +375,17 @@ def path_mismatch(paths: Responses) -> Float64[np.ndarray, " frequencies"]:
 
 
 @checked
-def slow_level(paths: Responses, floor: FloorSpectra, sensor_noise: NonNegative, steady: Steady) -> float:
-    """Rms of sqrt(psi' R^-1 psi), with R = E[psi_N psi_N']: how much larger the regressors are than within the band."""
+def slow_level(
+    paths: Responses, floor: FloorSpectra, sensor_noise: NonNegative, steady: Steady
+) -> tuple[float, float]:
+    """Rms of sqrt(psi' R^-1 psi), with R = E[psi_N psi_N']: how much larger the regressors are than within the band.
+
+    Then how much larger its square is over another stretch of the floor's duration, at most (`HIGHEST`): of a Gaussian floor, whose
+    power over T seconds has 2 T (int S df)^2 / int S^2 df degrees of freedom.
+    """
     seen = floor.density + sensor_noise**2 * np.eye(floor.density.shape[1])
-    psi = paths.regressors
-    whole = np.einsum("f,fis,fst,fjt->ij", floor.widths_hz, psi, seen, np.conj(psi), optimize=True).real
-    return float(np.sqrt(np.trace(np.linalg.solve(steady.correlation, whole))))
+    psi = np.linalg.cholesky(np.linalg.inv(steady.correlation)).T @ paths.regressors
+    density = np.einsum("fis,fst,fit->f", psi, seen, np.conj(psi), optimize=True).real
+    power = density @ floor.widths_hz
+    freedom = 2 * floor.duration * power**2 / (density**2 @ floor.widths_hz)
+    return float(np.sqrt(power)), float(stats.chi2.ppf(HIGHEST, freedom) / freedom)

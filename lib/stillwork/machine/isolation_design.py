@@ -1,6 +1,6 @@
 """Design of an isolator's self-tuned feedforward, and its certificate before it is switched on."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Annotated
@@ -17,12 +17,10 @@ from stillwork.estimation.adaptive import FeLms, FeRls
 from stillwork.estimation.mean_adaptation import (
     ALGORITHMS,
     Responses,
-    Scatter,
     Steady,
     error_spectra,
     mean_adaptation,
     scatter,
-    sum_kronecker,
 )
 from stillwork.machine.isolation import (
     SMOOTHING,
@@ -47,9 +45,7 @@ GROWTH = 1e3  # of the guard's level, at most
 WITHIN = 1.1  # power of the remaining motion, over that once settled, at which weights count as settled
 FASTER = 1.05  # between time constants that are tried
 PERIODS = 3.0  # of the band's lower end that a time constant holds for each regressor: half of it leaves 5 % more motion
-# How much more than expected weights may move within the band: seen 1.3 times, at an end of the box 1.9 times.
-JITTER = 2.0
-JITTER_HZ = 0.1  # between the lines on which that is computed
+EVEN_HZ = 0.25  # between the lines on which densities are convolved
 LOWEST_HZ = 1.0  # from where the remaining motion is judged
 RATIOS = (0.0, 0.1, 0.2, 0.4, 0.7)  # relative damping that the skyhook adds, tried
 LOW_SHARE, HIGH_SHARE = 0.4, 8.0  # of the lowest and the highest mode, where the band begins and ends at most
@@ -65,6 +61,7 @@ COARSE = 4  # of the coarse lines, which give way to fine ones
 BURST_S = 0.5  # of a stretch of a record whose power counts
 DRAWS = 24  # of isolators in the box, for the band of a prediction
 ENDS = 16  # of the box, beside them: all of one axis, and those where all modes are off alike of several
+PARTS = 20  # of a record, whose means show a drift
 FADE_S = 5.0  # at both ends of the record, a twentieth of it at most: in half a second a microseism leaks above 1 Hz
 # How far the shares of the box go of what `spread` is: of each mode's mass and stiffness, damping, actuator pole
 SPREADS = {"mass": 1.0, "stiffness": 1.0, "damping": 4.0, "pole": 2.0}
@@ -83,9 +80,12 @@ def floor_spectra(
 ) -> FloorSpectra:
     """Cross spectra of a record by Welch's method, on bands of one per cent where the lines lie closer.
 
-    The first lines are as fine as the record allows with some averaging, but not finer than `slow_hz`.
+    The first lines are as fine as the record allows with some averaging, but not finer than `slow_hz`. A straight
+    line is taken for a drift of the sensors: of a motion it would be a step where the record begins again.
     """
     count = acceleration.shape[1]
+    fade = min(2 * FADE_S * sample_rate / count, 0.1)
+    acceleration, drift = _without_drift(acceleration)
     length = round(sample_rate / resolution_hz)
     if length < 2:
         raise InputError(
@@ -102,7 +102,6 @@ def floor_spectra(
         below = fine < edge
         bands = [(fine[below], slow[below]), (f[COARSE:], lines[COARSE:])]
     parts = [binned(*band, count / sample_rate, source) for band in bands]
-    fade = min(2 * FADE_S * sample_rate / count, 0.1)
     return FloorSpectra(
         np.concatenate([part.frequencies_hz for part in parts]),
         np.concatenate([each.widths_hz for each in parts]),
@@ -110,9 +109,21 @@ def floor_spectra(
         count / sample_rate,
         source,
         _bursts(acceleration, sample_rate),
-        (acceleration - acceleration.mean(axis=1, keepdims=True)) * signal.windows.tukey(count, fade),
+        acceleration * signal.windows.tukey(count, fade),
         sample_rate,
+        drift * sample_rate,
     )
+
+
+def _without_drift(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows without mean and drift, and their drift a sample: a line that is more than half of how the means of `PARTS` scatter."""
+    rows = rows - rows.mean(axis=1, keepdims=True)
+    means = np.stack([part.mean(axis=1) for part in np.array_split(rows, PARTS, axis=1)], axis=1)
+    place = np.arange(PARTS) - (PARTS - 1) / 2
+    slope = means @ place / np.sum(place**2)
+    drifts = 2 * slope**2 * np.sum(place**2) > np.sum(means**2, axis=1)
+    drift = np.where(drifts, slope * PARTS / rows.shape[1], 0.0)
+    return rows - drift[:, None] * (np.arange(rows.shape[1]) - (rows.shape[1] - 1) / 2), drift
 
 
 def _cross_lines(acceleration, sample_rate, length):
@@ -174,7 +185,7 @@ class IsolationDesign:
     paths: "MovingPaths"
     steady: Steady
     step: float  # 1 - lambda of FeRLS, mu of FeLMS
-    scatter: Scatter | None  # of the weights about those of `steady`; none with a given step
+    moves: "MovingWeights | None"  # about those of `steady`; none with a given step
     settings: FeLms | FeRls
     time_constant: float  # s, of the adaptation: of FeLMS that of its fastest direction
     variance: float  # share by which weights that move raise the remaining motion's power, expected
@@ -213,15 +224,15 @@ def try_loop(
     power = float(np.trace(steady.correlation))
     # Of FeLMS the fastest direction sees the largest share of the regressors' power a step.
     share = 1.0 if algorithm == "FeRls" else float(np.linalg.eigvalsh(steady.correlation)[-1]) / power
-    level = CREST * slow_level(responses, floor, noises[0], steady)
+    slow, surge = slow_level(responses, floor, noises[0], steady)
+    level = CREST * slow
     inside = (f >= LOWEST_HZ) & (f <= loop.shaping.lowpass_hz)
     left = motion_density(moving, steady.weights, floor, noises)
     motion = float((left * widths)[:, inside].sum())
     moves = None
     if step is None:
-        moves = scatter(responses, steady, widths, floor.density, *noises, loop.rate, algorithm)
-        force = jitter_density(responses, steady, floor, noises, loop.rate, algorithm)
-        added = _added_motion(responses, moves, force, floor, noises[0], loop.rate, inside, share)
+        moves = moving_weights(responses, steady, floor, noises, loop.rate, algorithm, surge)
+        added = _added_motion(responses, moves, widths * inside, share * loop.rate)
         slowest = max(shortest, PERIODS * len(steady.correlation) / loop.shaping.highpass_hz)
         while slowest < BEYOND_S and not (
             added(slowest) <= variance * motion and mismatch.loop_gain(level, slowest) <= LIMIT
@@ -246,7 +257,7 @@ def try_loop(
         paths=moving,
         steady=steady,
         step=float(step),
-        scatter=moves,
+        moves=moves,
         settings=settings,
         time_constant=float(time_constant),
         variance=float(more / motion),
@@ -260,30 +271,67 @@ def try_loop(
     )
 
 
+@by_value
+@dataclass(frozen=True)
+class MovingWeights:
+    """What weights that move about their fixed point add, for one unit of step."""
+
+    covariance: Float64[np.ndarray, "modes modes"]  # of the weights as they wander
+    regressors: Complex128[np.ndarray, "frequencies regressors regressors"]  # their density
+    force: Complex128[np.ndarray, "frequencies axes axes"]  # see `jitter_density`
+    surge: float  # of the power of slow motion, see `slow_level`
+
+    def __post_init__(self):
+        check_fields(self)
+
+    @property
+    def products(self) -> np.ndarray:
+        """The covariance by axis and regressor, twice."""
+        shape = self.force.shape[1], self.regressors.shape[1]
+        return self.covariance.reshape(*shape, *shape)
+
+    def jitter(self, paths: Responses, smoothing: float) -> np.ndarray:
+        """Density of the motion by weights that move within the band, for one unit of step squared, (axes, frequencies)."""
+        f, through = paths.frequencies_hz, paths.secondary
+        each = np.einsum("fab,fbc,fac->af", through, self.force, np.conj(through), optimize=True).real
+        return each / (f**2 * (1 + (2 * np.pi * f * smoothing) ** 2))
+
+    def wandering(self, paths: Responses) -> np.ndarray:
+        """Density of the motion by weights that wander, (axes, frequencies)."""
+        driven = np.einsum("bicj,fij->fbc", self.products, self.regressors, optimize=True)
+        return np.einsum(
+            "fab,fbc,fac->af", paths.secondary, driven, np.conj(paths.secondary), optimize=True
+        ).real
+
+
+def moving_weights(
+    paths: Responses, steady: Steady, floor: FloorSpectra, noises, rate: float, algorithm: str, surge: float
+) -> MovingWeights:
+    seen = floor.density + noises[0] ** 2 * np.eye(floor.density.shape[1])
+    return MovingWeights(
+        floor.bursts[0] * scatter(paths, steady, floor.widths_hz, floor.density, *noises, rate, algorithm),
+        paths.regressors @ seen @ np.conj(paths.regressors.transpose(0, 2, 1)),
+        floor.bursts[1] * jitter_density(paths, steady, floor, noises, rate, algorithm),
+        surge,
+    )
+
+
 def _added_motion(
-    paths, moves: Scatter, force: np.ndarray, floor: FloorSpectra, sensor_noise, rate, inside, share
+    paths: Responses, moves: MovingWeights, counted: np.ndarray, rate: float
 ) -> Callable[[float], float]:
-    """Power that moving weights add, by the time constant.
+    """Power that moving weights add, by the time constant, where slow motion is as strong as it may become.
 
     Per step as the weights wander from the fixed point; per step squared as they move within the band, where they carry
     the regressors' slow power into it and resonances that the filtered error does not show are struck.
     """
-    seen = floor.density + sensor_noise**2 * np.eye(floor.density.shape[1])
-    widths = floor.widths_hz[:, None, None]
-    psi = paths.regressors
-    plain = psi @ seen @ np.conj(psi.transpose(0, 2, 1)) * widths
-    driven = np.conj(paths.secondary.transpose(0, 2, 1)) @ paths.secondary
-    slow = np.sum(sum_kronecker(driven[inside], plain[inside]) * moves.covariance)
-    f = paths.frequencies_hz
-    fast = (np.einsum("fab,fba->f", driven, force).real * floor.widths_hz / f**2)[inside]
-    f = f[inside]
+    slow, fast = np.sum(moves.wandering(paths) @ counted), moves.jitter(paths, 0.0).sum(axis=0) * counted
 
     def added(time_constant):
-        step = 1 / (time_constant * share * rate)
-        smooth = 1 + (2 * np.pi * f * time_constant / SMOOTHING) ** 2
-        return float(
-            floor.bursts[0] * slow * step + JITTER * floor.bursts[1] * np.sum(fast / smooth) * step**2
+        step, smooth = (
+            1 / (time_constant * rate),
+            1 + (2 * np.pi * paths.frequencies_hz * time_constant / SMOOTHING) ** 2,
         )
+        return float(slow * step + moves.surge * np.sum(fast / smooth) * step**2)
 
     return added
 
@@ -340,37 +388,36 @@ def jitter_density(
     steady: Steady,
     floor: FloorSpectra,
     noises: tuple[float, float],
-    rate: Positive,
-    algorithm: Annotated[str, one_of(ALGORITHMS)],
+    rate: float,
+    algorithm: str,
 ) -> Complex128[np.ndarray, "frequencies axes axes"]:
     """Density of the force by weights that move within the band, times f^2 and per step squared.
 
-    They follow the products of error and filtered regressors, whose correlation over time is that of Gaussian signals; a line
-    in both moves the weights by its distance to every other frequency. The regressors that they then weigh count as slow.
+    So fast they only sum up e psi_N'. Of Gaussian signals its correlation over a lag is made of those of e and of psi_N, each with
+    itself and with the other.
     """
-    f = paths.frequencies_hz
-    own, mixed = error_spectra(paths, steady.weights, floor.density, *noises)
-    shaped = paths.shaping[:, None, None] * paths.regressors
+    f, shaped = paths.frequencies_hz, paths.shaping[:, None, None] * paths.regressors
     seen = floor.density + noises[0] ** 2 * np.eye(floor.density.shape[1])
-    power, filtered = (each @ seen @ np.conj(each.transpose(0, 2, 1)) for each in (paths.regressors, shaped))
-    inverse = np.linalg.inv(steady.correlation)
-    if algorithm == "FeLms":
-        inverse = np.eye(len(inverse)) / np.trace(steady.correlation)
-    weighs = inverse @ np.einsum("f,fij->ij", floor.widths_hz, power).real @ inverse
-    lines = np.arange(0.0, f[-1], JITTER_HZ)
-    count = 4 * len(lines)  # so long that what is above the last line does not fold
+    plain = paths.regressors
+    power = np.einsum("f,fis,fst,fjt->ij", floor.widths_hz, plain, seen, np.conj(plain), optimize=True).real
+    root = linalg.cholesky(power, lower=True) / np.trace(steady.correlation)
+    if algorithm == "FeRls":
+        root = linalg.solve(steady.correlation, root * np.trace(steady.correlation))
+    lags = 2 * round(rate / 2 / EVEN_HZ)
+    even = np.fft.rfftfreq(lags, 1 / rate)
 
-    def over_time(density: np.ndarray) -> np.ndarray:
-        each = density.reshape(len(f), -1).T
-        rows = np.array([np.interp(lines, f, row, left=0.0) for row in each])
-        return np.fft.irfft(rows, count).reshape(*density.shape[1:], -1)
+    def correlated(density: np.ndarray) -> np.ndarray:
+        rows = [np.interp(even, f, each, right=0.0) for each in density.reshape(len(f), -1).T]
+        return np.fft.irfft(rows, lags).T.reshape(lags, *density.shape[1:]) * rate / 2
 
-    total = over_time(own) * over_time(np.einsum("ij,fji->f", weighs, filtered))
-    cross = over_time(mixed)
-    back = np.roll(cross[..., ::-1], 1, axis=-1)
-    total += np.einsum("ait,bit->abt", np.einsum("ajt,ij->ait", cross, weighs), back)
-    spectrum = np.fft.rfft(total)[..., : len(lines)] * rate**2 * count * JITTER_HZ / (2 * (2 * np.pi) ** 2)
-    return np.array([[np.interp(f, lines, row) for row in rows] for rows in spectrum]).transpose(2, 0, 1)
+    own, mixed = error_spectra(paths, steady.weights, floor.density, *noises)
+    together = correlated(mixed @ root)
+    turned = np.roll(together[::-1], 1, axis=0)
+    alone = correlated(np.einsum("fis,fst,fit->f", root.T @ shaped, seen, np.conj(root.T @ shaped)))
+    whole = correlated(own) * alone[:, None, None] + np.einsum("tak,tbk->tab", together, turned)
+    density = np.fft.rfft(whole, axis=0).reshape(len(even), -1).T
+    rows = np.array([np.interp(f, even, each) for each in density])
+    return 2 * rate / (2 * np.pi) ** 2 * rows.T.reshape(len(f), *own.shape[1:])
 
 
 @by_value
@@ -506,17 +553,22 @@ def perturbed(isolator: Isolator, spread: float, draw: Callable[[int], np.ndarra
     )
 
 
+def at_end(isolator: Isolator, spread: float, signs: Sequence[float]) -> Isolator:
+    """The isolator at an end of its box: a sign for each mode's mass, each one's stiffness and damping, and for the pole."""
+    left = iter(signs)
+    return perturbed(isolator, spread, lambda count: np.array([next(left) for _ in range(count)]))
+
+
+def alike_ends(axes: int) -> list[list[float]]:
+    """The signs of the `ENDS` at which all modes are off alike."""
+    each = axes, axes, axes, 1
+    return [np.repeat(signs, each).tolist() for signs in product((-1.0, 1.0), repeat=len(each))]
+
+
 def _box(isolator: Isolator, spread: float, rng: np.random.Generator) -> list[Isolator]:
     """`DRAWS` isolators somewhere in the box, then those at its `ENDS`."""
     inside = [perturbed(isolator, spread, lambda count: rng.uniform(-1, 1, count)) for _ in range(DRAWS)]
-    ends = []
-    for signs in map(iter, product((-1.0, 1.0), repeat=len(SPREADS))):
-
-        def of_all_modes(count: int, signs=signs) -> np.ndarray:
-            return np.full(count, next(signs))
-
-        ends.append(perturbed(isolator, spread, of_all_modes))
-    return inside + ends
+    return inside + [at_end(isolator, spread, signs) for signs in alike_ends(isolator.axes)]
 
 
 def _choose_band(loop: FeedforwardLoop, paths_of: Paths, frequencies_hz: np.ndarray) -> tuple[float, float]:

@@ -2,25 +2,33 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from itertools import cycle
 
 import numpy as np
 from jaxtyping import Complex128, Float64
 
-from stillwork.base.bounds import Natural
+from stillwork.base.bounds import Natural, NonNegative
 from stillwork.base.checks import InputError
 from stillwork.base.validation import by_value, checked
 from stillwork.estimation.adaptive import FeLms
-from stillwork.machine.isolation import FloorSpectra
+from stillwork.estimation.mean_adaptation import mean_adaptation, sum_kronecker
+from stillwork.machine.isolation import (
+    HIGHEST,
+    ORDER,
+    POWERS,
+    FeedforwardLoop,
+    FloorSpectra,
+    Isolator,
+)
 from stillwork.machine.isolation_design import (
     DRAWS,
-    JITTER,
     LOWEST_HZ,
     IsolationDesign,
     MovingPaths,
     Responding,
+    alike_ends,
+    at_end,
     density_through,
-    jitter_density,
     motion_density,
     moving_paths,
     paths_through,
@@ -28,9 +36,6 @@ from stillwork.machine.isolation_design import (
 from stillwork.signals.levels import expected_peak, next_peak, next_rms
 
 WIDE = 3.0  # standard deviations over the draws that the band takes in
-HIGHEST = (
-    0.99  # probability that another stretch as long as the record stays below what is called the highest
-)
 SLOWEST_HZ, LINES = 0.01, 4000  # of the responses through which a record runs: 0.27 % apart
 FINER = 4  # samples between those of a record at which its peaks are sought
 
@@ -66,9 +71,11 @@ def predict(
     Where `floor` has its record, that runs through every loop with frozen weights: its peaks, scattered as its rms and as
     the largest of a Gaussian signal are, are those of the commands without sensor noise (`with_noise` adds that of
     `replay`), and its scatter is that of the floor's spectra, too. Without it the spectra count as known, and the peaks are
-    Rice's at the highest rms. The band is that of the first `DRAWS` loops; the others, ends of the box, are within it, too.
+    Rice's at the highest rms. Noise of a measured path (`correction`) counts as a path that no weights cancel: of it no lowest
+    is known, which is 0. The band is that of the first `DRAWS` loops; the others, ends of the box, are within it, too.
     """
-    if design.scatter is None:
+    moves, step = design.moves, design.step
+    if moves is None:
         raise InputError(
             "design has a given step, whose scatter is unknown; give a design whose step was searched"
         )
@@ -80,13 +87,20 @@ def predict(
     cut = np.minimum(f + widths / 2, band[1]) - np.maximum(f - widths / 2, band[0])
     counted = np.clip(cut, 0.0, widths)
     noises = design.isolator.floor_noise, design.isolator.platform_noise
-    moves = _moving_weights(design, floor)
-    weights = design.steady.weights
-    drawn, sizes = _drawn(design, around, moves, floor, counted, np.random.default_rng(seed))
+    weights, smoothing = design.steady.weights, design.loop.smoothing
+    drawn, sizes = _drawn(design, around, floor, counted, np.random.default_rng(seed))
     fixed = motion_density(design.paths, weights, floor, noises)
-    density = fixed + moves.wandering(design.paths.seen.secondary) + moves.jitter(design.paths)
+    density = (
+        fixed
+        + step * moves.wandering(design.paths.seen)
+        + step**2 * moves.jitter(design.paths.seen, smoothing)
+    )
+    power = np.einsum("f,fij->ij", widths, moves.regressors).real
+    scattered = step * np.einsum(
+        "aiaj,ij->a", moves.products, power
+    )  # mean square of each command by weights that wander
     forces = [
-        _forces(each, own, moves.commands(), floor, noises, correction)
+        _forces(each, own, scattered, floor, noises, correction)
         for each, own in zip((design, *around), (weights, *drawn), strict=True)
     ]
     if floor.record is None:
@@ -97,9 +111,11 @@ def predict(
     bare, silent = replace(design.paths, skyhook=0 * design.paths.skyhook), np.zeros_like(weights)
     gains = [_gain(each.paths.transmissibility(own)) for each, own in zip(around, drawn, strict=True)]
     expected = _gain(design.paths.transmissibility(weights))
+    remains = _banded(np.array(sizes), np.sqrt(density @ counted), varies)
+    remains[0] *= correction is None
     return IsolationPrediction(
         band_hz=band,
-        remains=_banded(np.array(sizes), np.sqrt(density @ counted), varies),
+        remains=remains,
         without=np.sqrt(motion_density(bare, silent, floor, noises) @ counted),
         feedback=np.sqrt(motion_density(design.paths, silent, floor, noises) @ counted),
         force=np.max(forces, axis=0),
@@ -116,75 +132,74 @@ def with_noise(found: IsolationPrediction, noise: Float64[np.ndarray, " axes"]) 
     return replace(found, force=np.array([rms, highest, np.maximum(highest, peak + noise)]))
 
 
+@checked
+def settled_excess(
+    design: IsolationDesign, isolator: Isolator, floor: FloorSpectra, correction: Callable | None = None
+) -> float:
+    """Share by which the weights at which the adaptation of a design settles leave more power in the band than the best do.
+
+    They are those of an `isolator` on which the error through the path as estimated has no slope; the best are those of least
+    motion, which is quadratic in them.
+    """
+    f, loop = floor.frequencies_hz, design.loop
+    noises = isolator.floor_noise, isolator.platform_noise
+    paths = moving_paths(loop, paths_through(isolator, loop.rate, correction), f)
+    settled = mean_adaptation(paths.seen, floor.widths_hz, floor.density, *noises, 0.0).weights
+    counted = floor.widths_hz * ((f >= LOWEST_HZ) & (f <= loop.shaping.lowpass_hz))
+    pushed = paths.held @ (np.eye(isolator.axes) - paths.skyhook[:, None, None] * paths.seen.secondary)
+    turned, psi = np.conj(pushed.transpose(0, 2, 1)) * counted[:, None, None], paths.seen.regressors
+    seen = floor.density + noises[0] ** 2 * np.eye(isolator.sensors)
+    back = np.conj(psi.transpose(0, 2, 1))
+    slope = np.sum(turned @ paths.transmissibility(0 * settled) @ floor.density @ back, axis=0).real
+    best = -np.linalg.solve(sum_kronecker(turned @ pushed, psi @ seen @ back), slope.ravel())
+    powers = [
+        np.sum(motion_density(paths, each, floor, noises) @ counted)
+        for each in (settled, best.reshape(settled.shape))
+    ]
+    return float(powers[0] / powers[1] - 1)
+
+
+@checked
+def worst_excess(
+    design: IsolationDesign, floor: FloorSpectra, spread: NonNegative, correction: Callable | None = None
+) -> tuple[float, float]:
+    """`settled_excess` of the isolator as given, and the largest at the ends of its box.
+
+    To first order in what is off the excess is a convex square, largest at an end. From the worst of the ends at which all modes
+    are off alike one number after the other is turned to its other end, while the excess grows.
+    """
+
+    def found(signs: list[float]) -> float:
+        return settled_excess(design, at_end(design.isolator, spread, signs), floor, correction)
+
+    worst, signs = max((found(each), each) for each in alike_ends(design.isolator.axes))
+    left = len(signs)  # that were not tried since it grew last
+    for place in cycle(range(len(signs))):
+        turned = [-each if k == place else each for k, each in enumerate(signs)]
+        left -= 1
+        if (more := found(turned)) > worst:
+            worst, signs, left = more, turned, len(signs)
+        if left == 0:
+            break
+    return settled_excess(design, design.isolator, floor, correction), worst
+
+
 def _gain(whole: Responding) -> np.ndarray:
     """Root of the sum over the floor sensors, (axes, frequencies)."""
     return np.sqrt(np.sum(np.abs(whole) ** 2, axis=2)).T
 
 
-class _MovingWeights(NamedTuple):
-    """What weights that move about their fixed point add."""
-
-    frequencies_hz: np.ndarray
-    covariance: np.ndarray  # of the weights as they wander
-    plain: np.ndarray  # density of the regressors, (frequencies, regressors, regressors)
-    power: np.ndarray  # of them
-    force: (
-        np.ndarray
-    )  # density of the force by weights that move within the band, times f^2: (frequencies, axes, axes)
-    shape: tuple[int, int]  # of the weights
-    smoothing: float  # s
-
-    def jitter(self, paths: MovingPaths) -> np.ndarray:
-        """Density of the motion by weights that move within the band, (axes, frequencies)."""
-        through = paths.seen.secondary
-        each = np.einsum("fab,fbc,fac->af", through, self.force, np.conj(through))
-        return each.real / (
-            self.frequencies_hz**2 * (1 + (2 * np.pi * self.frequencies_hz * self.smoothing) ** 2)
-        )
-
-    def wandering(self, secondary: np.ndarray) -> np.ndarray:
-        """Density of the motion by weights that wander, (axes, frequencies)."""
-        covariance = self.covariance.reshape(*self.shape, *self.shape)
-        return np.einsum(
-            "fab,fac,bicj,fij->af", secondary, np.conj(secondary), covariance, self.plain, optimize=True
-        ).real
-
-    def commands(self) -> np.ndarray:
-        """Mean square of each command by weights that wander, N^2."""
-        return np.einsum("aiaj,ij->a", self.covariance.reshape(*self.shape, *self.shape), self.power)
-
-
-def _moving_weights(design: IsolationDesign, floor: FloorSpectra) -> _MovingWeights:
-    assert design.scatter is not None  # `predict` has refused it
-    covariance = design.step * floor.bursts[0] * design.scatter.covariance
-    seen = floor.density + design.isolator.floor_noise**2 * np.eye(design.isolator.sensors)
-    psi = design.paths.seen.regressors
-    plain = np.einsum("fis,fst,fjt->fij", psi, seen, np.conj(psi), optimize=True)
-    power = np.einsum("f,fij->ij", floor.widths_hz, plain).real
-    algorithm = type(design.settings).__name__
-    noises = design.isolator.floor_noise, design.isolator.platform_noise
-    force = jitter_density(design.paths.seen, design.steady, floor, noises, design.loop.rate, algorithm)
-    return _MovingWeights(
-        floor.frequencies_hz,
-        covariance,
-        plain,
-        power,
-        design.step**2 * floor.bursts[1] * force,
-        design.steady.weights.shape,
-        design.loop.smoothing,
-    )
-
-
 def _drawn(
     design: IsolationDesign,
     around: list[IsolationDesign],
-    moves: _MovingWeights,
     floor: FloorSpectra,
     counted,
     rng,
 ) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """Weights of each isolator of the box, drawn from their scatter, and the rms of what then remains of every axis."""
-    values, vectors = np.linalg.eigh(moves.covariance)
+    moves, step = design.moves, design.step
+    assert moves is not None  # `predict` has refused it
+    values, vectors = np.linalg.eigh(step * moves.covariance)
     root = (vectors * np.sqrt(np.maximum(values, 0))) @ vectors.T  # of whatever basis where values are alike
     noises = design.isolator.floor_noise, design.isolator.platform_noise
     drawn, sizes = [], []
@@ -194,8 +209,8 @@ def _drawn(
             weights = weights + rng.uniform() * (design.steady.weights - weights)
         weights = weights + (root @ rng.standard_normal(weights.size)).reshape(weights.shape)
         drawn.append(weights)
-        strength = JITTER ** rng.uniform(0, 1.5)
-        density = motion_density(each.paths, weights, floor, noises) + strength * moves.jitter(each.paths)
+        jitter = moves.surge ** rng.uniform(-1, 1) * moves.jitter(each.paths.seen, design.loop.smoothing)
+        density = motion_density(each.paths, weights, floor, noises) + step**2 * jitter
         sizes.append(np.sqrt(density @ counted))
     return drawn, sizes
 
@@ -230,8 +245,17 @@ def _forces(
         highest = expected * np.exp(varies)
         return [expected, highest, _rice(whole, highest, floor)]
     command = _followed(design, lambda paths: paths.commands(weights)[0], floor, correction)
-    highest = expected * next_rms(command, HIGHEST)
-    return [expected, highest, np.maximum(highest, next_peak(command, HIGHEST))]
+    pushed = np.abs(weights @ _by_drift(design.loop, np.asarray(floor.drift)))
+    highest = np.hypot(expected * next_rms(command, HIGHEST), pushed)
+    return [expected, highest, np.maximum(highest, next_peak(command, HIGHEST) + pushed)]
+
+
+def _by_drift(loop: FeedforwardLoop, drift: np.ndarray) -> np.ndarray:
+    """The regressors of a drift (m/s^3, of each sensor) once it has lasted: of 1 - (a / (s + a))^n, n s / a for slow s."""
+    if loop.highpasses > 1:
+        return np.zeros((POWERS + 1) * len(drift))
+    slow = ORDER / (2 * np.pi * loop.cutoff_hz)
+    return np.kron(slow * (slow * loop.beta) ** np.arange(POWERS + 1), drift)
 
 
 def _followed(
