@@ -251,6 +251,7 @@ PARTS = {
     ),  # by `try_loop` and `predict`
     *("moving_paths", "density_through", "jitter_density", "record_grid", "through"),
     *("alike_ends", "at_end", "moving_weights"),  # by the box, `worst_excess` and `try_loop`
+    *("MovingWeights.jitter", "MovingWeights.wandering"),  # by `try_loop` and `predict`
     *("held_force", "folded_force"),  # by `Isolator.paths` and the search of `fit_path`
 }
 FOLDERS = ("signals", "lti", "identification", "estimation", "control", "machine")
