@@ -6,6 +6,7 @@ import pytest
 from workbook import figures
 from workbook.checks import InputError
 from workbook.explorer import Choice, Slider, StaticPicture, build_line, explore
+from workbook.redraw import Redraw
 
 CONTROLS = {
     "gain": Slider(0.0, 10.0, 2.0, "V", basis="printed", place="Table 1"),
@@ -135,3 +136,20 @@ def test_the_line_under_it_builds_the_page_with_what_is_shown():
         "floor=quite coloured",
     ]
     assert build_line("isolation/01-first", ("other",), moved, start) == ""
+
+
+def test_a_figure_that_is_kept_is_laid_out_again_where_its_label_would_leave_it():
+    figure, axes = figures.new()
+    [line] = axes.plot([0, 1], [0, 1])
+    axes.set_ylabel("size")
+
+    def draw(size: float):
+        line.set_ydata([0, size])
+        axes.relim()
+        axes.autoscale_view()
+        return figure
+
+    redraw = Redraw(draw)
+    for size in (1.0, 99999.0, 1.0):
+        redraw(size=size)
+        assert axes.yaxis.label.get_window_extent().x0 >= 0
