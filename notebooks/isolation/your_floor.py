@@ -108,7 +108,7 @@ class Answer:
         loop, algorithm = self.design.loop, {FeRls: "FeRLS", FeLms: "FeLMS"}[type(self.design.settings)]
         return (
             f"We take a skyhook gain of {loop.gain:.3g} N s/m on each axis, weak integrators with a cut-off of {loop.cutoff_hz:g} Hz, and "
-            f"{algorithm} with a time constant of {self.design.time_constant:.2g} s; the appendix has all that the command prints."
+            f"{algorithm} with a time constant of {float(f'{self.design.time_constant:.2g}'):g} s; the appendix has all that the command prints."
         )
 
     def lines(self) -> list[str]:
@@ -211,7 +211,8 @@ def decision(gains: np.ndarray, left: dict[str, np.ndarray]) -> str:
     """What to do on this floor."""
     passive, loops = (_here(gains, left[name] / left["passive"]) for name in ("feedback", "FeRLS"))
     if loops < min(1.0, WORTH * passive):
-        return "Build both loops on this floor."
+        which = "the feedforward alone" if np.allclose(left["feedback"], left["passive"]) else "both loops"
+        return f"Build {which} on this floor."
     if passive < 1:
         return "Build the skyhook loop alone on this floor."
     gain = _pays_from(gains, left["FeRLS"] / left["passive"])

@@ -138,6 +138,7 @@ def test_what_to_do_is_what_leaves_least():
     gains, flat = np.geomspace(0.1, 100, 7), np.ones(7)
     told = {
         "Build both loops": {"feedback": 0.5 * flat, "FeRLS": 0.3 * flat},
+        "the feedforward alone": {"feedback": flat, "FeRLS": 0.3 * flat},
         "the skyhook loop alone": {"feedback": 0.5 * flat, "FeRLS": 0.48 * flat},
         "passive on this floor, or take sensors 2 times": {"feedback": 1.5 * flat, "FeRLS": 2 / gains},
         "passive on this floor.": {"feedback": 1.5 * flat, "FeRLS": 2 * flat},
