@@ -217,14 +217,16 @@ def judge(number: int, name: str, seed: int = 0, older: str = "") -> dict:
         calm = int(np.ceil(RISE_S + stated))
         floor = motion(float(calm + 200))
         _shake(floor, np.arange(floor.shape[1]) / second - (calm + 60), second)
-        own |= {"time_constant_s": about["time_constant_s"], "foretold": about["variance"]}
+        own |= {
+            "time_constant_s": about["time_constant_s"],
+            "foretold": [about["variance"], *about["excess"]],
+        }
         own |= {"stated_s": stated} | _judged(folder / "out", true, floor, calm, about["judged_hz"])
         if older:
-            beside, place = folder / "older", {"PYTHONPATH": f"{older}/lib"}
-            command = f"-m stillwork isolate --rate {rate} --spread {SPREAD} --out {beside}".split()
-            command = [sys.executable, *command, *files]
-            subprocess.run(command, env=os.environ | place, check=True, capture_output=True)
-            own["older"] = _judged(beside, true, floor, calm, about["judged_hz"])
+            command = f"-m stillwork isolate --rate {rate} --spread {SPREAD} --out {folder / 'older'}".split()
+            place = os.environ | {"PYTHONPATH": f"{older}/lib"}
+            subprocess.run([sys.executable, *command, *files], env=place, check=True, capture_output=True)
+            own["older"] = _judged(folder / "older", true, floor, calm, about["judged_hz"])
     return own
 
 
