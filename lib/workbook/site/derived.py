@@ -100,7 +100,8 @@ def _index(pages: list[NotebookPage], _claims: list[Claim]) -> str:
     for topic, paper in papers().items():
         if mine := [page for page in pages if page.topic == topic]:
             listing = "\n".join(f"- [{page.title}]({page.name}.ipynb)" for page in mine)
-            claimed = f"{paper['claimed']}\n\n" if paper["claimed"] else ""
+            lead = "**The paper claims:** " if paper["by"] else ""
+            claimed = f"{lead}{paper['claimed']}\n\n" if paper["claimed"] else ""
             parts.append(f"## {paper['title']} (`{topic}`)\n\n{claimed}{listing}")
     parts.append(f"## Folders\n\n{about()['folders']}")
     cells = [
