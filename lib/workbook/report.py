@@ -183,7 +183,9 @@ def _told(value):
         return {
             name: _told(each)
             for name, each in value.items()
-            if each is not None and each is not False and each not in ("", [], {})
+            if each is not None
+            and each is not False
+            and not (isinstance(each, str | list | dict) and not each)
         }
     if isinstance(value, list | tuple):
         return [_told(each) for each in value]

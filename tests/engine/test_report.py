@@ -2,12 +2,14 @@
 
 from collections import Counter
 
+import numpy as np
 import pytest
 
 from workbook.checks import InputError
 from workbook.claims import Claim, Entry, Tolerance
 from workbook.report import (
     column,
+    entry_text,
     find,
     ledger_text,
     our_quantity,
@@ -103,3 +105,8 @@ def test_what_a_guessed_name_may_mean_is_named(guess, meant):
     with pytest.raises(InputError) as told:
         find([Claim(each) for each in entries], guess)
     assert str(told.value) == f"the ledger has no entry {guess!r}{meant}"
+
+
+def test_an_entry_is_told_with_numbers_of_numpy_and_without_empty_fields():
+    fields = {"share": np.float64(0.25), "range": [np.float64(0.0), 1.0], "basis": "", "axes": [], "count": 0}
+    assert entry_text(fields, 80).splitlines() == ["share: 0.25", "range: [0.0, 1.0]", "count: 0"]
