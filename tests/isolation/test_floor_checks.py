@@ -48,3 +48,16 @@ def test_below_what_is_known_a_floor_stays_as_it_is_there(tmp_path, kind):
     below = found.frequencies_hz < 0.9 * first
     assert found.frequencies_hz[0] < 1.5 * SLOWEST_HZ and below.sum() > 4
     assert np.ptp(found.density[below]) == 0 < found.density[below].real.min()
+
+
+@pytest.mark.parametrize("ramp", [0.0, 1e-4])
+def test_a_drift_of_a_record_is_noted(tmp_path, ramp):
+    """Of 1e-4 m/s^3, which is twenty times as large after the record's 100 s as its motion."""
+    f, density = microseism(1e-5)
+    motion = coloured(np.random.default_rng(0), f, density, 20_000, RATE, 1)[0]
+    np.savez(tmp_path / "floor.npz", **{"fs": RATE, "a (m/s^2)": motion + ramp * np.arange(20_000) / RATE})
+    found, notes, _ = read_floor(str(tmp_path / "floor.npz"), "", 1, 2 * RATE, [])
+    assert found.drift == pytest.approx([ramp], abs=0.1 * ramp)
+    assert [each for each in notes if f"{60 * found.drift[0]:.2g} m/s^2 a minute" in each] == notes[
+        : bool(ramp)
+    ]

@@ -47,6 +47,7 @@ from stillwork.machine.isolation import (
     slow_level,
 )
 from stillwork.machine.isolation_design import (
+    CREST,
     CUTOFFS_HZ,
     DRAWS,
     ENDS,
@@ -833,26 +834,34 @@ def test_without_a_compiler_the_record_runs_through_the_same_loop(monkeypatch, a
 
 @pytest.mark.parametrize("highpasses", [1, 2])
 def test_a_drift_of_a_sensor_pushes_as_its_ramp_through_the_loops_filters(highpasses):
-    """Of a record with a ramp the peak is that without it and the end of the ramp's own command, by the filters' formulas."""
+    """Of a record with a ramp the peak is that without it and the end of the ramp's own command, by the filters' formulas.
+
+    So is the square of the level from which on weights are kept, which else the ramp would exceed.
+    """
     isolator, slope, seconds = isolator_of(draw_isolator(np.random.default_rng(1), 1, RATE)), 1e-4, 60
     record = coloured(np.random.default_rng(1), GRID, flat(), round(seconds * RATE), RATE, 1)
     loop = replace(loop_of(isolator), highpasses=highpasses)
-    peaks = []
+    peaks, guards = [], []
     for ramp in (0.0, slope):
         floor = floor_spectra(record + ramp * np.arange(record.shape[1]) / RATE, RATE, "record")
         loop = loop if ramp else replace(loop, beta=choose_beta(loop, floor))
         design = try_loop(loop, isolator, paths_through(isolator, RATE), floor, "FeRls", 1.0, TRUE_PATH)
         peaks.append(predict(design, [design], floor).force[2, 0])
+        guards.append(design.guard)
     a, time = 2 * np.pi * loop.cutoff_hz, np.linspace(0, 20, 20_001)
     numerator = np.polysub(np.poly([-a] * 3), [a**3])
-    pushed = 0.0
-    for power, weight in enumerate(design.steady.weights[0]):
+    lasting = []
+    for power in range(3):
         above = np.ones(1)
         for _ in range(highpasses + power):
             above = np.polymul(above, numerator[:3])  # over s
         above = np.polymul(above, [1.0] + [0.0] * highpasses) * loop.beta**power
         _, out, _ = signal.lsim((above, np.poly([-a] * 3 * (highpasses + power))), slope * time, time)
-        pushed += weight * out[-1]
+        lasting.append(out[-1])
+    pushed = design.steady.weights[0] @ lasting
+    even = CREST * np.linalg.norm(guards[0] @ lasting)  # over the slow motion's rms
+    assert guards[0] == pytest.approx(guards[1] * np.hypot(1, even), rel=5e-3, abs=1e-9)
+    assert highpasses == 2 or even > 0.3
     assert peaks[1] - peaks[0] == pytest.approx(abs(pushed), abs=1e-3 * peaks[0])
     assert highpasses == 2 or abs(pushed) > 0.1 * peaks[0]
 

@@ -723,6 +723,11 @@ def read_floor(
         peak, rms = np.abs(record.signals).max(), record.signals.std(axis=1).max()
         require_floor_level(record.source, unit, float(peak), float(rms))
         spectra = floor_spectra(record.signals, record.sample_rate, record.source, LINE_HZ, SLOWEST_HZ)
+        if (drift := np.abs(np.asarray(spectra.drift)).max()) > 0:
+            notes.append(
+                f"the record's straight line, up to {60 * drift:.2g} m/s^2 a minute, is a drift of its sensors: it is taken off, and "
+                "the even force that it makes is added to what commands reach"
+            )
         top = min(0.45 * rate, PASS_SHARE * record.sample_rate / 2)
         kept = spectra.frequencies_hz < top
         spectra = replace(

@@ -375,6 +375,17 @@ def path_mismatch(paths: Responses) -> Float64[np.ndarray, " frequencies"]:
 
 
 @checked
+def by_drift(
+    loop: FeedforwardLoop, drift: Float64[np.ndarray, " sensors"]
+) -> Float64[np.ndarray, " regressors"]:
+    """The regressors of a drift (m/s^3, of each sensor) once it has lasted: of 1 - (a / (s + a))^n, n s / a for slow s."""
+    if loop.highpasses > 1:
+        return np.zeros((POWERS + 1) * len(drift))
+    slow = ORDER / (2 * np.pi * loop.cutoff_hz)
+    return np.kron(slow * (slow * loop.beta) ** np.arange(POWERS + 1), drift)
+
+
+@checked
 def slow_level(
     paths: Responses, floor: FloorSpectra, sensor_noise: NonNegative, steady: Steady
 ) -> tuple[float, float]:

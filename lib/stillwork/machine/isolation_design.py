@@ -29,6 +29,7 @@ from stillwork.machine.isolation import (
     FloorSpectra,
     Isolator,
     Mismatch,
+    by_drift,
     encirclements,
     path_angle,
     path_mismatch,
@@ -225,6 +226,9 @@ def try_loop(
     # Of FeLMS the fastest direction sees the largest share of the regressors' power a step.
     share = 1.0 if algorithm == "FeRls" else float(np.linalg.eigvalsh(steady.correlation)[-1]) / power
     slow, surge = slow_level(responses, floor, noises[0], steady)
+    if floor.drift is not None:
+        even = np.linalg.cholesky(np.linalg.inv(steady.correlation)).T @ by_drift(loop, floor.drift)
+        slow = float(np.hypot(slow, np.linalg.norm(even)))
     level = CREST * slow
     inside = (f >= LOWEST_HZ) & (f <= loop.shaping.lowpass_hz)
     left = motion_density(moving, steady.weights, floor, noises)

@@ -14,11 +14,9 @@ from stillwork.estimation.adaptive import FeLms
 from stillwork.estimation.mean_adaptation import mean_adaptation, sum_kronecker
 from stillwork.machine.isolation import (
     HIGHEST,
-    ORDER,
-    POWERS,
-    FeedforwardLoop,
     FloorSpectra,
     Isolator,
+    by_drift,
 )
 from stillwork.machine.isolation_design import (
     DRAWS,
@@ -245,17 +243,9 @@ def _forces(
         highest = expected * np.exp(varies)
         return [expected, highest, _rice(whole, highest, floor)]
     command = _followed(design, lambda paths: paths.commands(weights)[0], floor, correction)
-    pushed = np.abs(weights @ _by_drift(design.loop, np.asarray(floor.drift)))
+    pushed = np.abs(weights @ by_drift(design.loop, np.asarray(floor.drift)))
     highest = np.hypot(expected * next_rms(command, HIGHEST), pushed)
     return [expected, highest, np.maximum(highest, next_peak(command, HIGHEST) + pushed)]
-
-
-def _by_drift(loop: FeedforwardLoop, drift: np.ndarray) -> np.ndarray:
-    """The regressors of a drift (m/s^3, of each sensor) once it has lasted: of 1 - (a / (s + a))^n, n s / a for slow s."""
-    if loop.highpasses > 1:
-        return np.zeros((POWERS + 1) * len(drift))
-    slow = ORDER / (2 * np.pi * loop.cutoff_hz)
-    return np.kron(slow * (slow * loop.beta) ** np.arange(POWERS + 1), drift)
 
 
 def _followed(
