@@ -61,3 +61,18 @@ def test_a_drift_of_a_record_is_noted(tmp_path, ramp):
     assert [each for each in notes if f"{60 * found.drift[0]:.2g} m/s^2 a minute" in each] == notes[
         : bool(ramp)
     ]
+
+
+@pytest.mark.parametrize("seconds", [60.0, 300.0])
+def test_sensors_that_warm_up_leave_the_record_as_it_is_without(seconds):
+    """Over five time constants, by five hundred times the motion; of a straight line more than a hundred would be left."""
+    f, density = microseism(1e-8)
+    count = round(5 * seconds * RATE)
+    motion = coloured(np.random.default_rng(0), f, density, count, RATE, 1)
+    warm = 0.01 * (1 - np.exp(-np.arange(count) / RATE / seconds))
+    plain, drifting = (floor_spectra(each, RATE, "record") for each in (motion, motion + warm))
+    assert not plain.drift.any() and drifting.drift == pytest.approx([0.01 / seconds], rel=0.02)
+    assert np.abs(drifting.record - plain.record).max() < 0.5 * motion.std()
+    assert drifting.density.real == pytest.approx(
+        plain.density.real, rel=0.1, abs=0.01 * plain.density.real.max()
+    )

@@ -725,8 +725,8 @@ def read_floor(
         spectra = floor_spectra(record.signals, record.sample_rate, record.source, LINE_HZ, SLOWEST_HZ)
         if (drift := np.abs(np.asarray(spectra.drift)).max()) > 0:
             notes.append(
-                f"the record's straight line, up to {60 * drift:.2g} m/s^2 a minute, is a drift of its sensors: it is taken off, and "
-                "the even force that it makes is added to what commands reach"
+                f"what of the record is slower than 0.01 Hz, by up to {60 * drift:.2g} m/s^2 a minute, is a drift of its sensors: it is "
+                "taken off, and the force that it makes is added to what commands reach"
             )
         top = min(0.45 * rate, PASS_SHARE * record.sample_rate / 2)
         kept = spectra.frequencies_hz < top

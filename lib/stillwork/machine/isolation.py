@@ -299,7 +299,7 @@ class FloorSpectra:
         None  # m/s^2, from which they were estimated; from rest to rest, without drift
     )
     record_hz: NonNegative = 0.0  # its sample rate
-    drift: Float64[np.ndarray, " sensors"] | None = None  # m/s^3, of the record's sensors
+    drift: Float64[np.ndarray, " sensors"] | None = None  # m/s^3, of the record's sensors, at its steepest
 
     def __post_init__(self):
         check_fields(self)

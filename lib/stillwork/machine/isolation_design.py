@@ -7,6 +7,7 @@ from typing import Annotated
 
 import numpy as np
 from jaxtyping import Complex128, Float64
+from numpy.polynomial import legendre
 from scipy import linalg, optimize, signal
 
 from stillwork.base.bounds import Natural, NonNegative, Positive, one_of, within
@@ -63,6 +64,10 @@ BURST_S = 0.5  # of a stretch of a record whose power counts
 DRAWS = 24  # of isolators in the box, for the band of a prediction
 ENDS = 16  # of the box, beside them: all of one axis, and those where all modes are off alike of several
 PARTS = 20  # of a record, whose means show a drift
+DRIFT_HZ, DRIFTS = (
+    0.01,
+    0.75,
+)  # of a drift: half the lowest frequency at which a floor is judged, and its share (chosen)
 FADE_S = 5.0  # at both ends of the record, a twentieth of it at most: in half a second a microseism leaks above 1 Hz
 # How far the shares of the box go of what `spread` is: of each mode's mass and stiffness, damping, actuator pole
 SPREADS = {"mass": 1.0, "stiffness": 1.0, "damping": 4.0, "pole": 2.0}
@@ -81,12 +86,12 @@ def floor_spectra(
 ) -> FloorSpectra:
     """Cross spectra of a record by Welch's method, on bands of one per cent where the lines lie closer.
 
-    The first lines are as fine as the record allows with some averaging, but not finer than `slow_hz`. A straight
-    line is taken for a drift of the sensors: of a motion it would be a step where the record begins again.
+    The first lines are as fine as the record allows with some averaging, but not finer than `slow_hz`. What is
+    slower is taken for a drift of the sensors: of a motion it would be a step where the record begins again.
     """
     count = acceleration.shape[1]
     fade = min(2 * FADE_S * sample_rate / count, 0.1)
-    acceleration, drift = _without_drift(acceleration)
+    acceleration, drift = _without_drift(acceleration, sample_rate)
     length = round(sample_rate / resolution_hz)
     if length < 2:
         raise InputError(
@@ -112,19 +117,28 @@ def floor_spectra(
         _bursts(acceleration, sample_rate),
         acceleration * signal.windows.tukey(count, fade),
         sample_rate,
-        drift * sample_rate,
+        drift,
     )
 
 
-def _without_drift(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rows without mean and drift, and their drift a sample: a line that is more than half of how the means of `PARTS` scatter."""
+def _without_drift(rows: np.ndarray, sample_rate: float) -> tuple[np.ndarray, np.ndarray]:
+    """Rows without mean and drift, and the drift's largest slope a second.
+
+    It is a polynomial no faster than `DRIFT_HZ`, of a short record a straight line, that makes `DRIFTS` of how the means of
+    `PARTS` scatter.
+    """
+    count = rows.shape[1]
     rows = rows - rows.mean(axis=1, keepdims=True)
-    means = np.stack([part.mean(axis=1) for part in np.array_split(rows, PARTS, axis=1)], axis=1)
-    place = np.arange(PARTS) - (PARTS - 1) / 2
-    slope = means @ place / np.sum(place**2)
-    drifts = 2 * slope**2 * np.sum(place**2) > np.sum(means**2, axis=1)
-    drift = np.where(drifts, slope * PARTS / rows.shape[1], 0.0)
-    return rows - drift[:, None] * (np.arange(rows.shape[1]) - (rows.shape[1] - 1) / 2), drift
+    order = int(np.clip(2 * count / sample_rate * DRIFT_HZ, 1, PARTS // 3))
+    means = np.stack([part.mean(axis=1) for part in np.array_split(rows, 10 * PARTS, axis=1)])
+    place = (np.arange(len(means)) + 0.5) * 2 / len(means) - 1
+    curves = legendre.legfit(place, means, order)
+    coarse = [each.reshape(PARTS, 10, -1).mean(axis=1) for each in (means, legendre.legval(place, curves).T)]
+    found = np.sum(coarse[1] ** 2, axis=0) > DRIFTS * np.sum(coarse[0] ** 2, axis=0)
+    curves = np.where(found, curves, 0.0)
+    slopes = legendre.legval(np.linspace(-1, 1, 10 * PARTS), legendre.legder(curves))
+    steepest = np.take_along_axis(slopes, np.abs(slopes).argmax(axis=1)[:, None], axis=1)[:, 0]
+    return rows - legendre.legval(np.linspace(-1, 1, count), curves), steepest * 2 * sample_rate / count
 
 
 def _cross_lines(acceleration, sample_rate, length):
