@@ -235,7 +235,7 @@ LETTERS = str.maketrans("0123456789.", "abcdefghij_")
 def same_text(now: str, before: str) -> bool:
     """Whether two printed texts differ in nothing but the last digit of a number that is not whole.
 
-    Widths of columns do not count: they follow from the numbers.
+    Widths of columns do not count: they follow from the numbers. A blank behind a number does: "5%" is not "5 %".
     """
     if now == before:
         return True
@@ -262,7 +262,7 @@ def _last_digit(number: str) -> float:
 
 
 def _plain(text: str) -> str:
-    return re.sub(r"[ \t]+", " ", re.sub(r"-{3,}", "---", text)).replace(" \n", "\n").strip(" ")
+    return re.sub(r"[ \t]+", " ", re.sub(r"-{3,}", "---", text)).replace(" \n", "\n").rstrip(" ")
 
 
 def distance(now: np.ndarray, before: np.ndarray) -> float:

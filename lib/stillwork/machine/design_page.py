@@ -16,6 +16,7 @@ from stillwork.machine.html_page import page, picture, table
 from stillwork.machine.machine_designs import Designed
 
 SHOWN_FROM = 0.01  # %, of what the box holds
+MANY = 3  # modes, of more than which the least and the most uncertain are named
 
 
 def box_table(machine: Machine, spread: Uncertainty, margins: dict[str, float]) -> list[list[str]]:
@@ -26,9 +27,19 @@ def box_table(machine: Machine, spread: Uncertainty, margins: dict[str, float]) 
     for name, title in words.items():
         shares = 100 * np.asarray(getattr(spread, name))[1:]
         if np.any(shares >= SHOWN_FROM):
-            same = np.ptp(shares) < 0.05 * shares.max()
-            each = [f"± {share:.2g} % at {at:.4g} Hz" for share, at in zip(shares, hertz[1:], strict=True)]
-            rows.append([title, f"± {shares.max():.3g} %" if same else ", ".join(each)])
+            if np.ptp(shares) < 0.05 * shares.max():
+                rows.append([title, f"± {shares.max():.3g} %"])
+            elif len(shares) > MANY:
+                least, most = (
+                    f"{shares.min():.2g}",
+                    f"{shares.max():.2g} % (at {hertz[1 + shares.argmax()]:.4g} Hz)",
+                )
+                rows.append([title, f"± {least} to {most}"])
+            else:
+                each = [
+                    f"± {share:.2g} % at {at:.4g} Hz" for share, at in zip(shares, hertz[1:], strict=True)
+                ]
+                rows.append([title, ", ".join(each)])
     for name, title in (("gain", "gain, motor constant"), ("mass", "mass")):
         if (share := 100 * getattr(spread, name)) >= SHOWN_FROM:
             rows.append([title, f"± {share:.2g} %"])

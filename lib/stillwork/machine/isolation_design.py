@@ -64,10 +64,8 @@ BURST_S = 0.5  # of a stretch of a record whose power counts
 DRAWS = 24  # of isolators in the box, for the band of a prediction
 ENDS = 16  # of the box, beside them: all of one axis, and those where all modes are off alike of several
 PARTS = 20  # of a record, whose means show a drift
-DRIFT_HZ, DRIFTS = (
-    0.01,
-    0.75,
-)  # of a drift: half the lowest frequency at which a floor is judged, and its share (chosen)
+DRIFT_HZ = 0.01  # a drift is slower: half the lowest frequency at which a floor is judged
+DRIFTS = 0.75  # of how the parts' means scatter, that a drift makes (chosen)
 FADE_S = 5.0  # at both ends of the record, a twentieth of it at most: in half a second a microseism leaks above 1 Hz
 # How far the shares of the box go of what `spread` is: of each mode's mass and stiffness, damping, actuator pole
 SPREADS = {"mass": 1.0, "stiffness": 1.0, "damping": 4.0, "pole": 2.0}
