@@ -788,20 +788,19 @@ def _of_severity(page, scatter: dict, noisier: dict) -> None:
     fast = {"FeLMS": ("FeLMS", max(STEPS)), "FeRLS": ("FeRLS", min(MEMORIES_S))}
     grows = {}
     for name in slow:
-        rate = scatter_ratio(scatter[fast[name]], scatter[slow[name]])[0]
-        noise = scatter_ratio(noisier[slow[name]], scatter[slow[name]])[0]
-        both = scatter_ratio(noisier[fast[name]], scatter[slow[name]])[0]
-        grows[name] = np.array([rate, noise, both, both / (rate * noise)])
-    felms, ferls = grows.values()
+        first, word = scatter[slow[name]], name.lower()
+        grows[f"{word}_rate"] = scatter_ratio(scatter[fast[name]], first)[0]
+        grows[f"{word}_noise"] = scatter_ratio(noisier[slow[name]], first)[0]
+        grows[f"{word}_both"] = scatter_ratio(noisier[fast[name]], first)[0]
+    share = grows["felms_both"] / (grows["felms_rate"] * grows["felms_noise"])
     page.conclude(
         "The introduction calls the variance of LMS *particularly severe* for a poor signal-to-noise ratio together with a "
-        "large rate. A step eight times as large makes that of FeLMS {felms[0]:.1f} times as large, sensors with {noise:g} "
-        "times the noise {felms[1]:.1f} times, both {felms[2]:.0f} times: {sense}. It is so for FeRLS with an eighth of the "
-        "memory, too: {ferls[0]:.1f}, {ferls[1]:.1f} and {ferls[2]:.0f} times.",
-        felms=felms,
-        ferls=ferls,
+        "large rate. A step eight times as large makes that of FeLMS {felms_rate:.1f} times as large, sensors with {noise:g} "
+        "times the noise {felms_noise:.1f} times, both {felms_both:.0f} times: {sense}. It is so for FeRLS with an eighth of the "
+        "memory, too: {ferls_rate:.1f}, {ferls_noise:.1f} and {ferls_both:.0f} times.",
+        **grows,
         noise=NOISIER,
-        sense="about the product" if 1 / 1.25 < felms[3] < 1.25 else f"{felms[3]:.2g} times the product",
+        sense="about the product" if 1 / 1.25 < share < 1.25 else f"{share:.2g} times the product",
     )
 
 
