@@ -182,7 +182,9 @@ def seen(browser, site, pages) -> dict[str, dict[str, list]]:
         browser.resize(NARROW)
         answers["narrow"] = browser.run(MISFITS) + browser.run(CUT)
         answers["outside"] = [
-            each for each in browser.requests() if not each.startswith((site.as_uri(), "data:"))
+            each  # the browser's own page, with which it begins, is no request of ours
+            for each in browser.requests()
+            if not each.startswith((site.as_uri(), "data:", "chrome:"))
         ]
         answers["messages"] = browser.messages()
         for question, answer in answers.items():
