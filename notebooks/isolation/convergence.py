@@ -792,15 +792,17 @@ def _of_severity(page, scatter: dict, noisier: dict) -> None:
         grows[f"{word}_rate"] = scatter_ratio(scatter[fast[name]], first)[0]
         grows[f"{word}_noise"] = scatter_ratio(noisier[slow[name]], first)[0]
         grows[f"{word}_both"] = scatter_ratio(noisier[fast[name]], first)[0]
-    share = grows["felms_both"] / (grows["felms_rate"] * grows["felms_noise"])
+        grows[f"{word}_share"] = grows[f"{word}_both"] / (grows[f"{word}_rate"] * grows[f"{word}_noise"])
     page.conclude(
         "The introduction calls the variance of LMS *particularly severe* for a poor signal-to-noise ratio together with a "
-        "large rate. A step eight times as large makes that of FeLMS {felms_rate:.1f} times as large, sensors with {noise:g} "
-        "times the noise {felms_noise:.1f} times, both {felms_both:.0f} times: {sense}. It is so for FeRLS with an eighth of the "
-        "memory, too: {ferls_rate:.1f}, {ferls_noise:.1f} and {ferls_both:.0f} times.",
+        "large rate. A step {steps:g} times as large makes that of FeLMS {felms_rate:.1f} times as large, sensors with {noise:g} "
+        "times the noise {felms_noise:.1f} times, both {felms_both:.0f} times, which is {felms_share:.2f} of the product. Of FeRLS "
+        "with a memory {memories:g} times as short these are {ferls_rate:.1f}, {ferls_noise:.1f}, {ferls_both:.0f} and "
+        "{ferls_share:.2f}.",
         **grows,
         noise=NOISIER,
-        sense="about the product" if 1 / 1.25 < share < 1.25 else f"{share:.2g} times the product",
+        steps=max(STEPS) / min(STEPS),
+        memories=max(MEMORIES_S) / min(MEMORIES_S),
     )
 
 

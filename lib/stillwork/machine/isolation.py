@@ -386,6 +386,12 @@ def by_drift(
 
 
 @checked
+def over_the_band(steady: Steady) -> Float64[np.ndarray, "regressors regressors"]:
+    """What multiplies regressors so that the sum of their squares is psi' R^-1 psi, with R = E[psi_N psi_N']."""
+    return np.linalg.cholesky(np.linalg.inv(steady.correlation)).T
+
+
+@checked
 def slow_level(
     paths: Responses, floor: FloorSpectra, sensor_noise: NonNegative, steady: Steady
 ) -> tuple[float, float]:
@@ -395,7 +401,7 @@ def slow_level(
     power over T seconds has 2 T (int S df)^2 / int S^2 df degrees of freedom.
     """
     seen = floor.density + sensor_noise**2 * np.eye(floor.density.shape[1])
-    psi = np.linalg.cholesky(np.linalg.inv(steady.correlation)).T @ paths.regressors
+    psi = over_the_band(steady) @ paths.regressors
     density = np.einsum("fis,fst,fit->f", psi, seen, np.conj(psi), optimize=True).real
     power = density @ floor.widths_hz
     freedom = 2 * floor.duration * power**2 / (density**2 @ floor.widths_hz)

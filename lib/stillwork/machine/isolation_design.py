@@ -32,6 +32,7 @@ from stillwork.machine.isolation import (
     Mismatch,
     by_drift,
     encirclements,
+    over_the_band,
     path_angle,
     path_mismatch,
     slow_level,
@@ -239,8 +240,7 @@ def try_loop(
     share = 1.0 if algorithm == "FeRls" else float(np.linalg.eigvalsh(steady.correlation)[-1]) / power
     slow, surge = slow_level(responses, floor, noises[0], steady)
     if floor.drift is not None:
-        even = np.linalg.cholesky(np.linalg.inv(steady.correlation)).T @ by_drift(loop, floor.drift)
-        slow = float(np.hypot(slow, np.linalg.norm(even)))
+        slow = float(np.hypot(slow, np.linalg.norm(over_the_band(steady) @ by_drift(loop, floor.drift))))
     level = CREST * slow
     inside = (f >= LOWEST_HZ) & (f <= loop.shaping.lowpass_hz)
     left = motion_density(moving, steady.weights, floor, noises)
